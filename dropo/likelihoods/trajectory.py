@@ -5,6 +5,7 @@ motion. Every measurement is used once, for what the model predicts at that inst
 """
 
 import copy
+import time
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -25,6 +26,7 @@ from dropo.core.records.fit import Status
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.trajectories import Ints, Segments, Trajectories
 from dropo.core.services.errors import Incompatible, SimulationFailed
+from dropo.core.services.tables import duration_text
 from dropo.core.services.validation import Array, known, require
 from dropo.likelihoods.support.runs.condensed import Condensed, condense, log_densities
 from dropo.likelihoods.support.runs.found_starts import FoundStarts
@@ -53,6 +55,7 @@ NOT_REACHED = (
     " them. There are no intervals"
 )
 INTERRUPTED = "Interrupted: this is the best so far."
+SLOW = "an iteration takes {}"
 
 
 @dataclass(frozen=True)
@@ -99,6 +102,8 @@ class TrajectorySettings:
     astray, astray_z : float
         The model is wrong where what is new at an instant is this many times as large along whole
         runs as within windows of their own, and by so many standard errors.
+    slow_round : float
+        The first round that takes longer is told [s].
     """
 
     window: int = 20
@@ -121,6 +126,7 @@ class TrajectorySettings:
     most_stuck: float = 0.05
     astray: float = 1.15
     astray_z: float = 5.0
+    slow_round: float = 30.0
 
 
 @dataclass(frozen=True)
@@ -307,6 +313,7 @@ class _Search:
         self.given = False
         self.degrees: float | None = None
         self._last_look: tuple[_Place, _Look] | None = None
+        self._told = False
 
     # --- what is given
 
@@ -482,6 +489,7 @@ class _Search:
 
         def evaluate(_: Array) -> Array:
             nonlocal reached
+            begun = time.perf_counter()
             try:
                 reached = self._round(position)
             except SimulationFailed:
@@ -491,9 +499,17 @@ class _Search:
             is_best = position.best is None or reached.best.state is not position.best.state
             law = reached.best.law
             numbers = [value, is_best, ENDS.index(reached.ended), reached.share, reached.chosen]
-            parts = [numbers, reached.step, reached.value_step, law.sd, law.memory, law.degrees]
+            parts: list[Any] = [
+                numbers,
+                reached.step,
+                reached.value_step,
+                law.sd,
+                law.memory,
+                law.degrees,
+            ]
             if not reached.ended:
                 parts.append(self._packed(reached.state))
+            self._tell_cost(run, time.perf_counter() - begun)
             return np.concatenate(parts)[None]
 
         record = run.evaluate(position.state.value[None], evaluate)[0]
@@ -515,6 +531,12 @@ class _Search:
             best = replace(position.best, law=law)
         following = self._unpacked(state, law) if len(state) else position.state
         return _Position(following, step, share, int(chosen), value_step, best, ENDS[int(end)])
+
+    def _tell_cost(self, run: Run, seconds: float) -> None:
+        """Tell once that rounds are slow."""
+        if not self._told and seconds > self.settings.slow_round:
+            self._told = True
+            run.progress(0.0, SLOW.format(duration_text(seconds)))
 
     def _round(self, position: _Position) -> _Position:
         """Look at the state, and step from there, or half as far from the best look."""

@@ -270,3 +270,15 @@ def test_a_first_look_that_diverged_is_recorded(tmp_path):
         run.evaluate(mean[None], lambda points: np.zeros((1, 1)))
     assert said[0] == said[1]
     assert log.replayed == 2
+
+
+@pytest.mark.parametrize(("slow", "told"), [(0.0, ["an iteration takes 1 s"]), (3600.0, [])])
+def test_slow_rounds_are_told_once(slow, told):
+    """The first that is slow; quick ones say nothing."""
+    said = []
+    problem = block(runs=2, steps=20)
+    run = Run(problem, np.random.default_rng(0), progress=lambda _, text: said.append(text))
+    noise = Noise(SD**2)
+    likelihood = Trajectory(settings=TrajectorySettings(slow_round=slow))
+    likelihood.fit_runs(problem, run, TruncatedGaussian(problem.space), noise, TRUTH)
+    assert [text for text in said if text.startswith("an iteration")] == told

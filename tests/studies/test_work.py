@@ -12,6 +12,7 @@ from dropo.estimators.dropo import DROPO
 from dropo.estimators.least_squares import LeastSquares
 from dropo.executors.named import executor_named
 from dropo.problems.simulated.slide import slide
+from dropo.studies.engine.long_fits import long_fit
 from dropo.studies.engine.work import Work
 
 CALLS: list[int] = []
@@ -100,3 +101,22 @@ def test_the_same_numbers_on_a_dask_cluster(monkeypatch):
     assert tasks[0] == {"mean": alone.mean.tolist(), "se": alone.mean_se.tolist()}
     np.testing.assert_array_equal(alone.mean, spread.mean)
     np.testing.assert_array_equal(alone.mean_se, spread.mean_se)
+
+
+def test_an_interrupted_long_fit_simulates_nothing_more(monkeypatch):
+    """It is not summarized: its best so far is no answer of a study."""
+    problem = slide().using(transitions=20)
+    real = problem.simulator._predict
+    calls = []
+
+    def predict(*given):
+        calls.append(given)
+        if len(calls) == 4:
+            raise KeyboardInterrupt
+        return real(*given)
+
+    monkeypatch.setattr(problem.simulator, "_predict", predict)
+    settings = {"likelihood": "monte-carlo", "optimizer": "cma-es-once", "draws": 4, "budget": 60}
+    with pytest.raises(KeyboardInterrupt):
+        long_fit(Work(), "a key", DROPO(**settings, epsilon=1e-4), problem)
+    assert len(calls) == 4

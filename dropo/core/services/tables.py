@@ -188,6 +188,24 @@ def steps_text(count: int, seconds: float | None = None) -> str:
     return f"{count} step{'s' if count > 1 else ''}{time}"
 
 
+def duration_text(seconds: float) -> str:
+    """Write a time in words, such as "20 s" or "4 minutes".
+
+    Parameters
+    ----------
+    seconds : float
+        The time [s].
+
+    Returns
+    -------
+    str
+        At least "1 s"; in minutes from a minute and a half on.
+    """
+    if seconds < 90:
+        return f"{max(seconds, 1):.0f} s"
+    return f"{seconds / 60:.0f} minutes"
+
+
 MOST_DIGITS = 15
 """Digits that a float64 holds."""
 

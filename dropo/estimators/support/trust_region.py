@@ -27,6 +27,7 @@ from dropo.core.records.trajectories import Segments
 from dropo.core.services.errors import SimulationFailed
 from dropo.core.services.evaluation_log import EvaluationLog
 from dropo.core.services.registry import find
+from dropo.core.services.tables import duration_text
 from dropo.core.services.validation import Array
 
 UNSETTLED = (
@@ -360,12 +361,12 @@ class OuterIterations:
         if self._told or seconds <= self.settings.slow_iteration:
             return
         self._told = True
-        text = SLOW.format(_duration(seconds))
+        text = SLOW.format(duration_text(seconds))
         segments = self._segments(region)
         each = int(segments.lengths.sum()) * self.problem.simulator.steps_per_action
         share = (2 * len(self.box) + 1) * each / max(steps, 1)
         if share < 1 and not isinstance(self.likelihood, find("likelihoods", "linear")):
-            text = f"{text}; {LINEAR.format(_duration(seconds * share))}"
+            text = f"{text}; {LINEAR.format(duration_text(seconds * share))}"
         self.run.progress(0.0, text)
 
     # --- regions
@@ -557,10 +558,3 @@ class OuterIterations:
         # With I^-1 the inverse and S the scores: the roots of the diagonal of I^-1 S' S I^-1.
         of_data = np.sum((scores[:, :d] @ inverse) ** 2, axis=0)
         return np.sqrt(of_data + np.sum(known[:, None] * inverse**2, axis=0))
-
-
-def _duration(seconds: float) -> str:
-    """A time in words, in seconds or minutes."""
-    if seconds < 90:
-        return f"{max(seconds, 1):.0f} s"
-    return f"{seconds / 60:.0f} minutes"

@@ -15,6 +15,12 @@ from dropo.core.services.validation import Array
 from dropo.studies.engine.work import Work
 
 
+class _Stopped(BaseException):
+    """An interruption within an evaluation; an estimator takes it for no end of its search, whose
+    best would be summarized first.
+    """
+
+
 class KeptEvaluations(EvaluationLog):
     """The evaluations of one fit, kept among the answers of a study.
 
@@ -58,7 +64,10 @@ class KeptEvaluations(EvaluationLog):
 
         def make() -> dict[str, Any]:
             begun = time.process_time()
-            answers, counts = function(points)
+            try:
+                answers, counts = function(points)
+            except KeyboardInterrupt:
+                raise _Stopped from None
             seconds = time.process_time() - begun
             return {"answers": answers.tolist(), "counts": counts, "seconds": seconds}
 
@@ -93,7 +102,10 @@ def long_fit(work: Work, key: str, estimator: Estimator, problem: Problem) -> Fi
         If the search was interrupted: its best so far is no answer of a study.
     """
     log = KeptEvaluations(work, key)
-    fit = estimator.fit(problem, rng=0, evaluation_log=log, progress=work.progress)
+    try:
+        fit = estimator.fit(problem, rng=0, evaluation_log=log, progress=work.progress)
+    except _Stopped:
+        raise KeyboardInterrupt from None
     if fit.status is Status.INTERRUPTED:
         raise KeyboardInterrupt
     return replace(fit, wall_time_s=log.seconds)
