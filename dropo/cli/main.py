@@ -33,7 +33,8 @@ from dropo.cli import (
 )
 from dropo.cli import list as list_
 from dropo.cli.output import close_standard_output, open_standard_streams
-from dropo.core.services.errors import BadArgument, DropoError, DropoWarning, InvalidInput
+from dropo.core.services.errors import BadArgument, DropoError, InvalidInput
+from dropo.core.services.run_warning import DropoWarning
 
 DONE = 0
 FAILED = 1

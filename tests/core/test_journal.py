@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from dropo.core.services.errors import BadFile, DropoWarning
+from dropo.core.services.errors import BadFile
 from dropo.core.services.journal import (
     MADE_WITH,
     Journal,
@@ -14,6 +14,7 @@ from dropo.core.services.journal import (
     require_same,
     versions,
 )
+from dropo.core.services.run_warning import DropoWarning
 
 WHAT = "a journal of a test"
 HEADER = {"seed": 0, "bounds": [0.1, 1e-300]}

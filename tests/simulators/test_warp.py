@@ -10,8 +10,9 @@ import pytest
 from dropo.core.contracts.noise import Noise
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services import optional_dependencies
-from dropo.core.services.errors import DropoWarning, Incompatible, MissingPackage
+from dropo.core.services.errors import Incompatible, MissingPackage
 from dropo.core.services.registry import find
+from dropo.core.services.run_warning import DropoWarning
 from dropo.families.truncated_gaussian import TruncatedGaussian
 from dropo.likelihoods.linear import Linear
 from dropo.mjmodel.fields import FieldParameter

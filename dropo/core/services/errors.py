@@ -71,7 +71,3 @@ class MissingPackage(InvalidInput, ImportError):
 
 class SimulationFailed(DropoError, RuntimeError):
     """The simulator diverged where it must not; the message says in which rows."""
-
-
-class DropoWarning(RuntimeWarning):
-    """What a run that goes on wants known; the command line prints it in one line."""

@@ -18,7 +18,8 @@ from typing import Any
 from threadpoolctl import threadpool_info
 
 from dropo.core.services.atomic_write import naming
-from dropo.core.services.errors import BadFile, DropoWarning
+from dropo.core.services.errors import BadFile
+from dropo.core.services.run_warning import DropoWarning
 from dropo.core.services.saved_files import require_version
 
 ENTRY = '"entry": '

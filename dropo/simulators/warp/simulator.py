@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.records.trajectories import Ints, Segments
-from dropo.core.services.errors import DropoWarning, Incompatible
+from dropo.core.services.errors import Incompatible
 from dropo.core.services.optional_dependencies import need
+from dropo.core.services.run_warning import DropoWarning
 from dropo.core.services.validation import Array, require
 from dropo.mjmodel.fields import OPTION
 from dropo.mjmodel.names import element_of_type
