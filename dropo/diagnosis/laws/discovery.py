@@ -29,7 +29,7 @@ from dropo.diagnosis.search.linearization import (
 from dropo.diagnosis.search.review import Review, review
 from dropo.diagnosis.search.screening import Candidate
 from dropo.diagnosis.search.selection import Selection
-from dropo.diagnosis.search.trials import Batch, State, Trial, commonest_first
+from dropo.diagnosis.search.trials import Batch, State, Trial, most_plausible_first
 from dropo.effects.law import hidden_states, joint_variables, law_instance
 from dropo.effects.support.formula_values import Program, evaluate
 from dropo.mjmodel.forces import motors
@@ -407,7 +407,7 @@ def _confirmed(
     if not groups:
         return None
     trials = [_tried(selection, state, proposal, alike) for proposal, alike in groups]
-    ordered = commonest_first(
+    ordered = most_plausible_first(
         sorted((trial for trial, *_ in trials), key=lambda one: -one.penalized_gain),
         selection.settings,
     )
