@@ -150,7 +150,7 @@ def most_plausible_first(
             as_good.append(trial)
     simplest = min(as_good, key=lambda trial: len(trial.magnitudes))
 
-    # Those that do the same to the data as that one: what they gain, and how usual they are, decide.
+    # Of those that do the same to the data as that one, what is gained and usual decides.
     alike = []
     for trial in trials:
         cosine = abs(float(trial.candidate.signature @ simplest.candidate.signature))
