@@ -326,7 +326,7 @@ def command_unit(commands: Array, logged: Array, hint: str | None, position: Sca
 
     best = Scale(position.unit, "the joint follows them", position.offset)
     nearest = distance(best.unit, best.offset)
-    for unit in ("rad", "deg") if si == "rad" else ():
+    for unit in {"rad": ("rad", "deg"), "m": ("m", "cm", "mm")}[si]:
         if unit != position.unit and distance(unit, 0.0) < 0.5 * nearest:
             best, nearest = Scale(unit, "the joint follows them"), distance(unit, 0.0)
     return best

@@ -216,6 +216,18 @@ def test_what_is_not_clear_is_asked(tmp_path: Path) -> None:
     assert found.undecided == []
 
 
+def test_stamps_may_begin_anew_in_each_run(tmp_path: Path) -> None:
+    """Two recordings of one file, each with stamps from 0 on."""
+    twice = {
+        name: np.tile(values, 2)
+        for name, values in {"time": TIME, "left_hip": HIP, "left_knee": KNEE}.items()
+    }
+    found = guess(tmp_path, {"run": np.repeat([0, 1], len(TIME)), **twice})
+    assert found.mapping["time"] == {"column": "time", "unit": "s"}
+    assert found.mapping["run"] == {"column": "run"}
+    assert not found.undecided
+
+
 def test_no_time_is_not_decided(tmp_path: Path) -> None:
     columns = {"hip q": HIP, "knee q": KNEE}
     assert "no column of time stamps" in guess(tmp_path, columns).undecided[0]
