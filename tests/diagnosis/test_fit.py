@@ -5,6 +5,7 @@ import pytest
 
 from dropo.diagnosis.far_off.fit import OutputError
 from dropo.diagnosis.far_off.motions import MotionSettings, motions_of
+from dropo.diagnosis.far_off.ties import ties_of
 from tests.models.far_off import torque_arm
 
 TRUTH = 0.01  # [kg m^2] at the elbow
@@ -77,6 +78,26 @@ def test_directions_that_motions_do_not_tell_are_unknown():
     assert (known[1:] > 0.05).all()
     assert (known[1:] < 0.25).all()
     assert free[0] < 0.1 * TRUTH
+
+
+def test_numbers_that_move_nothing_are_unknown():
+    """A payload's place across the plane in which an arm moves: it is known not at all, the rest
+    is, and no set of numbers that are told together has it.
+    """
+    model = torque_arm("joint_armature:elbow", "payload:fore")
+    mass, *place = model.library.places["payload:fore"]
+    theta = model.theta.copy()
+    theta[mass] = 0.05
+    model = model.at(theta)
+    motions = motions_of(model.problem, model.library, model.theta, SHORT)[0]
+    error = OutputError(model.library, motions)
+    end = error.linearize(model.theta, model.fitted, central=True)
+    covariance = error.covariance(end, np.zeros((5, 5)))
+    across = list(model.fitted).index(place[1])
+    others = np.delete(np.arange(5), across)
+    assert np.isinf(covariance[across, across])
+    assert np.isfinite(covariance[np.ix_(others, others)]).all()
+    assert not any(" y " in one for one in ties_of(model, covariance, end.free, 0.2))
 
 
 def test_a_number_at_its_bound_does_not_hold_the_others():

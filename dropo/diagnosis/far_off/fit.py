@@ -360,6 +360,8 @@ class OutputError:
     def covariance(self, fitted: Fitted, prior: Array) -> Array:
         """The covariance (f, f) of the fitted numbers, by the sandwich over pieces of motions.
 
+        The variance of a number that no motion tells is infinite.
+
         prior: (f, f) what is known of the numbers beside the motions, as information.
         """
         f, count, width = fitted.rows.shape
@@ -371,7 +373,12 @@ class OutputError:
         information = fitted.gram + prior
         of_data = sandwich(rows, information, Units(label, False, label, "pieces"))[0]
         inverse = self._inverse(information)
-        return np.asarray(of_data + inverse @ prior @ inverse)
+        covariance = np.asarray(of_data + inverse @ prior @ inverse)
+        not_told = np.isnan(np.diag(covariance))
+        covariance[not_told] = 0.0
+        covariance[:, not_told] = 0.0
+        covariance[not_told, not_told] = np.inf
+        return covariance
 
     def halved(self, theta: Array, residuals: Array) -> Array:
         """How residuals (W, n) change when physics steps are halved."""

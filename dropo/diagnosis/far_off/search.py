@@ -413,7 +413,7 @@ class FarOffSearch:
         Where motions hardly tell the scale of all forces, small misfits seem to move it far.
         """
         errors = self._errors(model, error, end, self._prior(model, end, np.inf))
-        gains = _gains(model)[end.free]
+        gains = _gains(model)[end.free] & np.isfinite(np.diag(covariance))
         if not gains.any():
             return errors
         known = self._errors(model, error, end, self._prior(model, end, np.inf, KNOWN))

@@ -46,7 +46,8 @@ def ties_of(
     model : FarOffModel
         With all numbers.
     covariance : (f, f) array
-        Of the fitted numbers.
+        Of the fitted numbers; infinite on the diagonal for those that no motion tells, which are
+        in no set.
     free : (f,) int array
         Which of all numbers they are.
     scale : float
@@ -60,6 +61,9 @@ def ties_of(
         A sentence for each set: each member, and its change where the first one is off by its
         error. A gain comes first.
     """
+    told = np.isfinite(np.diag(covariance))
+    covariance = covariance[np.ix_(told, told)]
+    free = free[told]
     spread = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     correlation = covariance / np.outer(spread, spread)
     alone = 1 / np.sqrt(np.maximum(np.diag(np.linalg.pinv(correlation, hermitian=True)), 1e-300))

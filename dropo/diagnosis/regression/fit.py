@@ -43,6 +43,8 @@ class FitSettings:
         Places along each axis at which a payload is tried.
     finer : int
         Rounds in which that grid closes in on the best place.
+    same_gain : float
+        Places whose gains differ by less than this fraction are equally good.
     misfit : float
         The fraction of what is left, as variance, that may lie along any one number.
     """
@@ -53,6 +55,7 @@ class FitSettings:
     steps: int = 10
     grid: int = 7
     finer: int = 5
+    same_gain: float = 1e-6
     misfit: float = 0.01
 
 
@@ -282,7 +285,9 @@ class Fitter:
             size = np.einsum("ij,jk,ik->i", numbers, left, numbers)
             seen = (along > 0) & (size > 1e-9 * np.trace(left))
             gains = np.where(seen, along**2 / np.where(seen, size, 1.0), 0.0)
-            k = int(np.argmax(gains))
+            # Of places that motions do not tell apart, the nearest to the centre.
+            as_good = np.flatnonzero(gains >= (1 - self.settings.same_gain) * gains.max())
+            k = int(as_good[np.argmin(np.linalg.norm(places[as_good] - centre, axis=1))])
             if gains[k] <= best[0]:
                 return best
             best = float(gains[k]), Payload(body, float(along[k] / size[k]), places[k])
@@ -364,7 +369,8 @@ class Fitter:
     def covariance(self, solution: Solution) -> Array:
         """(k, k) covariance of the numbers, with errors that depend on each other within a block.
 
-        Errors that are the same in all blocks count too, by the settings' `misfit`.
+        Errors that are the same in all blocks count too, by the settings' `misfit`. The variance of
+        a number that moves no force is infinite.
 
         References
         ----------
@@ -386,7 +392,10 @@ class Fitter:
         middle = scores.T @ scores * count / max(count - 1, 1)
         # What is left is no noise: a part of it may lie along any number, the same in all blocks.
         common = self.settings.misfit * float(np.count_nonzero(solution.weights)) * inverse
-        return np.asarray(inverse @ middle @ inverse + common)
+        covariance = np.asarray(inverse @ middle @ inverse + common)
+        not_told = np.flatnonzero(np.isinf(scale))
+        covariance[not_told, not_told] = np.inf
+        return covariance
 
 
 def _normal_equations(columns: Array, target: Array, weights: Array) -> tuple[Array, Array]:

@@ -325,7 +325,10 @@ class Missing:
             name = moving_bodies(model)[payload.body][1]
             sizes = {"mass": Estimate(payload.mass, errors.pop(0), "kg", None)}
             for letter, value in zip("xyz", payload.place, strict=True):
-                sizes[letter] = Estimate(float(value), errors.pop(0), "m", None)
+                error = errors.pop(0)
+                # Motions may not tell a coordinate, such as the height where all axes are upright.
+                if error < self.fitter.reaches[payload.body]:
+                    sizes[letter] = Estimate(float(value), error, "m", None)
             # Data held out ask for it, however uncertain its mass beside the drives' gain.
             add("payload", ("payload", name, ""), -np.inf, **sizes)
         # A simulation of the model acts early by itself: what is to be typed makes up for that.
