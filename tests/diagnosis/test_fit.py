@@ -1,10 +1,12 @@
 """Numbers fitted to whole motions, with errors that know what motions do not tell."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from dropo.diagnosis.far_off.fit import OutputError
-from dropo.diagnosis.far_off.motions import MotionSettings, motions_of
+from dropo.diagnosis.far_off.motions import MotionSettings, motions_of, moving
 from dropo.diagnosis.far_off.ties import ties_of
 from tests.models.far_off import torque_arm
 
@@ -53,13 +55,31 @@ def test_a_joint_that_mostly_rests_has_the_errors_of_its_motions(rotor):
     always moves has its own. A window that diverges has no say.
     """
     _, error, _ = rotor
-    rows = np.random.default_rng(0).normal(0.0, 0.1, (2, 500, len(error.motions.floor)))
-    rows[0, np.arange(500) % 5 > 0, 0] = 0.0
-    rows[1] = np.nan
-    resting, moving, *_ = error.scale_of(rows.reshape(2, -1))
-    assert 0.04 < resting < 0.1
+    shape = error.motions.moving.shape
+    rows = np.random.default_rng(0).normal(0.0, 0.1, shape)
+    rows[np.arange(len(rows)) % 5 > 0, 0] = 1e-4
+    motions = replace(error.motions)
+    motions.__dict__["moving"] = np.abs(rows) > 1e-4
+    rows[: len(rows) // len(motions.windows)] = np.nan
+    residuals = rows.reshape(len(motions.windows), -1)
+    resting, moving, *_ = OutputError(error.library, motions).scale_of(residuals)
+    assert 0.08 < resting < 0.12
     assert 0.09 < moving < 0.11
-    assert (error.scale_of(rows[1:].reshape(1, -1)) >= error.motions.noise).all()
+    none = np.full_like(residuals, np.nan)
+    assert (error.scale_of(none) >= motions.noise).all()
+
+
+def test_where_a_signal_moves():
+    """A signal that rests for four fifths of a window, with its encoder's noise, moves in the last
+    fifth; one that swings moves but where it turns.
+    """
+    time = np.linspace(0, 1, 500)
+    noise = np.random.default_rng(1).normal(0, 1e-4, (2, 500))
+    ramp = np.maximum(0.0, time - 0.8) + noise
+    swing = np.sin(2 * np.pi * time) + noise
+    rests, swings = moving(np.stack([ramp, swing], axis=2)).mean(axis=(0, 1))
+    assert 0.18 < rests < 0.24
+    assert 0.85 < swings < 1.0
 
 
 def test_directions_that_motions_do_not_tell_are_unknown():

@@ -10,10 +10,11 @@ from scipy.optimize import lsq_linear
 
 from dropo.core.numerics.dependence import Units
 from dropo.core.numerics.robust_covariance import sandwich
+from dropo.core.numerics.robust_statistics import deviation
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.evaluation_log import EvaluationLog
 from dropo.core.services.validation import Array
-from dropo.diagnosis.far_off.motions import Motions, outer_spread
+from dropo.diagnosis.far_off.motions import Motions
 from dropo.diagnosis.search.linearization import DIVERGED, Library
 from dropo.diagnosis.search.record import recorded
 from dropo.mjmodel.robot_simulator import RobotSimulator
@@ -167,17 +168,17 @@ class OutputError:
         return self.motions.residuals(self.library.predict(thetas, self.motions.windows))
 
     def scale_of(self, residuals: Array) -> Array:
-        """The spread (p',) of residuals (W, n) that are finite, by the larger ones.
+        """The robust spread (p',) of residuals (W, n), finite ones of signals that move.
 
-        By the median, a joint that mostly rests would have tiny errors, and its few motions would
-        count for more than those of all other joints.
+        A joint that mostly rests has tiny errors there, and its few motions would else count for
+        more than those of all other joints.
         """
-        floor = np.maximum(self.motions.floor, self.motions.noise)
-        rows = residuals.reshape(-1, len(floor))
-        rows = rows[np.isfinite(rows).all(axis=1)]
-        if not len(rows):
-            return floor
-        return np.maximum(outer_spread(rows), floor)
+        scale = np.maximum(self.motions.floor, self.motions.noise)
+        rows = residuals.reshape(-1, len(scale))
+        counted = np.where(self.motions.moving, rows, np.nan)
+        known = np.isfinite(counted).any(axis=0)
+        scale[known] = np.maximum(deviation(counted[:, known]), scale[known])
+        return scale
 
     def whitened(self, residuals: Array, scale: Array) -> Array:
         """Residuals (..., W, n) in units of their errors (..., W, N), the starts' noise taken out.

@@ -1,8 +1,10 @@
 """Long windows of which every step is compared, and how long they can be."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dropo.core.contracts.problem import Problem
 from dropo.core.numerics.robust_statistics import deviation
@@ -36,6 +38,12 @@ class MotionSettings:
         How many at most are compared.
     pool : int
         Windows to fit are chosen from about so many times as many.
+    looked_at : int
+        Of so many times the windows that are wanted it is found out which the start's noise bends.
+    resting : float
+        Fraction of a signal's usual change below which it rests.
+    spans : int
+        That change is over one of so many parts of a window.
     few : int
         Windows of which it is found out whether the start's noise matters: ...
     start : float
@@ -51,6 +59,9 @@ class MotionSettings:
     physics_steps: int = 160_000
     control_steps: int = 16_000
     pool: int = 8
+    looked_at: int = 2
+    resting: float = 0.1
+    spans: int = 50
     few: int = 4
     start: float = 0.1
     rate_noise: float = 0.05
@@ -97,6 +108,13 @@ class Motions:
     loadings: Array
     start_sd: Array
 
+    @cached_property
+    def moving(self) -> NDArray[np.bool_]:
+        """(W L, p') where a signal that is compared moves."""
+        signals = self.of_compared(self.windows.measured)
+        signals = signals.reshape(len(self.windows), self.windows.length, -1)
+        return moving(signals).reshape(-1, signals.shape[2])
+
     def of_compared(self, values: Array) -> Array:
         """Predictions or their changes (..., W, L p) of the signals compared: (..., W, L p')."""
         apart = values.reshape(*values.shape[:-1], self.windows.length, len(self.compared))
@@ -109,6 +127,29 @@ class Motions:
     def whitener(self, scale: Array) -> Whitener:
         """The covariance of residuals with errors (p',) in every step."""
         return Whitener(self.loadings, self.start_sd, white(scale))
+
+
+def moving(signals: Array, settings: MotionSettings = SETTINGS) -> NDArray[np.bool_]:
+    """Tell where signals move.
+
+    Parameters
+    ----------
+    signals : (W, L, p) array
+        In windows of L steps.
+    settings : MotionSettings
+        When a signal rests.
+
+    Returns
+    -------
+    (W, L, p) bool array
+        Whether a signal changes from here on by a part of what it usually changes by in that time.
+    """
+    length = signals.shape[1]
+    span = min(max(1, length // settings.spans), length - 1)
+    later = np.minimum(np.arange(length) + span, length - 1)
+    change = np.abs(signals[:, later] - signals[:, later - span])
+    usual = np.sqrt(np.mean(change**2, axis=(0, 1)))
+    return np.asarray(change >= settings.resting * usual)
 
 
 def motions_of(
@@ -150,7 +191,11 @@ def motions_of(
     compared = ~is_rate if not is_rate.all() else is_rate
     count = _count(problem, length, settings)
     pool = cut(problem, whole, length, settings.pool * count, "fit", FEW)
-    train = pool.take(_most_telling(pool, compared, count))
+    order = _most_telling(pool, compared, settings.looked_at * count)
+    shares = _curved_shares(problem, library, theta, pool.take(order))
+    # Those that the start's noise bends too much come last, the least bent of them first.
+    bent = np.maximum(shares, settings.curved)
+    train = pool.take(order[np.argsort(bent, kind="stable")[:count]])
     test = _held_out(problem, length, settings)
     start_sd = first_noise(problem, library, train, theta, noise_floor(library.simulator, train))
     least = settings.rate_noise * spread_of(library.simulator, train)
@@ -296,8 +341,11 @@ def _count(problem: Problem, length: int, settings: MotionSettings) -> int:
     return max(settings.tried, steps // length)
 
 
-def _curvature(problem: Problem, library: Library, theta: Array, windows: Windows) -> float:
-    """The part of errors in the windows' last quarter that the start's noise makes by curvature."""
+def _curved_shares(problem: Problem, library: Library, theta: Array, windows: Windows) -> Array:
+    """(W,) the part of errors in the last quarter that the start's noise makes by curvature.
+
+    Infinite where a simulation diverges.
+    """
     p = len(library.simulator.signals)
     sigma = first_noise(problem, library, windows, theta, noise_floor(library.simulator, windows))
     # Signs that follow no pattern, the same in every run.
@@ -311,6 +359,12 @@ def _curvature(problem: Problem, library: Library, theta: Array, windows: Window
     noise = np.tile(sigma, late.shape[2] // p)
     of_curve = np.mean((curved / noise) ** 2, axis=1)
     share = of_curve / (1 + np.mean((linear / noise) ** 2, axis=1) + of_curve)
+    return np.where(np.isfinite(share), share, np.inf)
+
+
+def _curvature(problem: Problem, library: Library, theta: Array, windows: Windows) -> float:
+    """What is bent of most windows."""
+    share = _curved_shares(problem, library, theta, windows)
     good = share[np.isfinite(share)]
     if len(good) < 0.5 * len(share):
         return np.inf
