@@ -3,7 +3,7 @@
 import numpy as np
 
 from dropo.core.records.independent_units import MANY, units_of
-from tests.core.test_robust_covariance import trajectories
+from tests.models.dependent_rows import trajectories
 
 
 def test_units_are_what_nothing_crosses():

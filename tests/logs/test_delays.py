@@ -7,7 +7,7 @@ import pytest
 
 from dropo.core.services.errors import BadArgument
 from dropo.logs.signals.delays import estimate_clock, estimate_delay
-from tests.logs.test_velocities import arm
+from tests.models.logged_arm import arm
 
 
 @pytest.mark.parametrize("rate", [100, 1000])
