@@ -22,6 +22,7 @@ from dropo.diagnosis.parts import Alternative, Cause, Estimate
 from dropo.diagnosis.regression.choice import BlockTables, ChoiceSettings, Chooser
 from dropo.diagnosis.regression.equation import Equation, EquationSettings, equation_of
 from dropo.diagnosis.regression.fit import GAIN, FitSettings, Fitter, Solution, root_mean_square
+from dropo.diagnosis.regression.resimulation import ResimulationSettings, resimulated
 from dropo.diagnosis.regression.result import JointForces, QuickDiagnosis
 from dropo.diagnosis.regression.terms import Term, terms_of
 from dropo.diagnosis.regression.wiring import wiring_faults
@@ -65,6 +66,9 @@ class QuickSettings:
         How numbers are fitted.
     choice : ChoiceSettings
         When they are accepted.
+    resimulation : ResimulationSettings
+        When, and how, motions are simulated with the numbers found, to find them there again: what
+        changes is part of their standard errors.
     """
 
     checked: float = 0.2
@@ -78,6 +82,7 @@ class QuickSettings:
     equation: EquationSettings = field(default_factory=EquationSettings)
     fit: FitSettings = field(default_factory=FitSettings)
     choice: ChoiceSettings = field(default_factory=ChoiceSettings)
+    resimulation: ResimulationSettings = field(default_factory=ResimulationSettings)
 
 
 @dataclass(frozen=True)
@@ -126,6 +131,7 @@ class QuickDiagnose:
         fitted, checked = sides(problem, self.settings.checked)
         faults = wiring_faults(simulator, fitted)
         estimate = estimate_missing(problem, fitted, self.settings)
+        estimate = _with_bias(problem, fitted, estimate, self.settings)
         causes = [] if faults else self._causes(simulator, estimate)
         warnings = [*problem.warnings, *_warnings(simulator, estimate)]
         try:
@@ -495,6 +501,30 @@ def _errors(
     for place, i in enumerate(solution.terms):
         totals[offset + place] += fitter.terms[i].model or 0.0
     return np.sqrt(by_rows + moved**2 + step**2 + (settings.bias * totals) ** 2)
+
+
+def _with_bias(
+    problem: Problem, trajectories: Trajectories, estimate: Missing, settings: QuickSettings
+) -> Missing:
+    """The estimate, whose errors have what regression is off by where the truth is known.
+
+    The truth are the numbers found, in motions that are simulated with them.
+    """
+    simulator = robot_of(problem)
+    solution = estimate.solution
+    if estimate.fitter.equation.by_joint or not solution.terms:
+        return estimate
+    extended = simulator.with_effects((), fixed_numbers(simulator, estimate))
+    again = resimulated(extended, trajectories, settings.resimulation)
+    if again is None:
+        return estimate
+    fitter = _fitter(simulator, equation_of(problem, again, settings.equation), settings)
+    if [term.label for term in fitter.terms] != [term.label for term in estimate.fitter.terms]:
+        return estimate
+    own = fitter.start(solution.chosen)
+    begun = replace(solution, weights=own.weights, spread=own.spread)
+    bias = _values(fitter.refined(fitter.solve(begun))) - _values(solution)
+    return replace(estimate, errors=np.hypot(estimate.errors, bias))
 
 
 def sides(problem: Problem, checked: float) -> tuple[Trajectories, Trajectories]:
