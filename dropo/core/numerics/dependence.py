@@ -41,7 +41,18 @@ class Units:
 
 
 def independent(rows: int) -> Units:
-    """Make every one of the `rows` a unit of its own."""
+    """Make every row a unit of its own.
+
+    Parameters
+    ----------
+    rows : int
+        Number R of rows.
+
+    Returns
+    -------
+    Units
+        R units, whose sums are the rows themselves.
+    """
     return Units(np.arange(rows), False, np.arange(rows), "rows")
 
 
