@@ -35,7 +35,18 @@ KEPT = 32
 
 
 def law(context: EffectContext) -> Iterator[EffectInstance]:
-    """A law has a place and numbers once it has a formula: see `law_instance`."""
+    """A law has a place and numbers once it has a formula: see `law_instance`.
+
+    Parameters
+    ----------
+    context : EffectContext
+        The robot, which is not looked at.
+
+    Returns
+    -------
+    iterator of EffectInstance
+        Empty.
+    """
     del context
     return iter(())
 

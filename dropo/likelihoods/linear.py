@@ -156,7 +156,18 @@ class Entries:
 
     @staticmethod
     def of(slopes: Array) -> "Entries":
-        """Collect the entries with a slope, from d S / d unknown (n, d, d)."""
+        """Collect the entries that depend on any unknown.
+
+        Parameters
+        ----------
+        slopes : (n, d, d) array
+            d S / d unknown of the covariance S, symmetric.
+
+        Returns
+        -------
+        Entries
+            Those on and above the diagonal that are not 0.
+        """
         upper = np.triu(np.abs(slopes).max(axis=0, initial=0.0))
         rows, columns = np.nonzero(upper)
         first = rows.astype(np.int64)
@@ -230,7 +241,20 @@ def along(
 
 
 def coordinates(family: Family, values: Array) -> Array:
-    """Return the values, or their logarithms if the family is logarithmic."""
+    """Return parameters in the coordinates in which a family is taken.
+
+    Parameters
+    ----------
+    family : Family
+        It may be in logarithms.
+    values : array
+        Parameters, in their units.
+
+    Returns
+    -------
+    array
+        The values, or their logarithms if the family is logarithmic.
+    """
     return np.log(values) if family.logarithmic else values
 
 

@@ -77,7 +77,20 @@ class GlobalSearchSettings:
     follow: DescentSettings = field(default_factory=lambda: DescentSettings(rounds=5))
 
     def searched(self, d: int) -> tuple[int, int]:
-        """Return from how many points the box of d parameters is searched, and how many further."""
+        """Return from how many points the box is searched.
+
+        Parameters
+        ----------
+        d : int
+            Number of parameters.
+
+        Returns
+        -------
+        first : int
+            Searches at first.
+        further : int
+            How many more there are, where only one of the first ended in the best optimum.
+        """
         return (1, 1) if d >= self.many else (self.searches, self.further)
 
 
@@ -118,7 +131,20 @@ class GlobalStart:
         return None if self.agreed else self.near
 
     def is_better_than(self, mean: Array, settings: GlobalSearchSettings = SETTINGS) -> bool:
-        """Return whether the best optimum explains the data better than a fitted mean (d,)."""
+        """Return whether the best optimum explains the data better than a fitted mean.
+
+        Parameters
+        ----------
+        mean : (d,) array
+            In the parameters' units.
+        settings : GlobalSearchSettings
+            By how much the misfit must differ.
+
+        Returns
+        -------
+        bool
+            False where it differs by chance alone.
+        """
         found = float(self.misfit.at(self.misfit.unit_of(mean[None]))[0])
         return found > self.least + settings.alike + settings.worse * self.misfit.targets.size
 

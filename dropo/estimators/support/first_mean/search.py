@@ -48,7 +48,18 @@ class Searched:
     width: Array | None = None
 
     def mean(self, family: Family) -> Array:
-        """Return the means (d,) that were found."""
+        """Return the means that were found.
+
+        Parameters
+        ----------
+        family : Family
+            In which the search was.
+
+        Returns
+        -------
+        (d,) array
+            In the parameters' units.
+        """
         return family.mean(self.found.point[: len(family.unknowns)])
 
 

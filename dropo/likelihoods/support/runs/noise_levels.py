@@ -157,7 +157,18 @@ def whiten(columns: Columns, law: NoiseLaw) -> Array:
 
 
 def follows(columns: Columns) -> NDArray[np.bool_]:
-    """Tell which numbers (T, m) have one of the same signal and piece just before them."""
+    """Tell which numbers have one of the same signal and piece just before them.
+
+    Parameters
+    ----------
+    columns : Columns
+        T instants of m signals, in pieces.
+
+    Returns
+    -------
+    (T, m) array of bool
+        False at the first instant of a piece, and where either is missing.
+    """
     same = np.append(False, columns.piece[1:] == columns.piece[:-1])
     before = np.roll(columns.valid, 1, axis=0)
     return np.asarray(same[:, None] & before & columns.valid)
