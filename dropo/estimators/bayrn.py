@@ -71,6 +71,15 @@ class BayRn(InteractiveEstimator):
         By which the log-likelihood of the problem's data is estimated.
     acquisition : AcquisitionSettings
 
+    Raises
+    ------
+    Incompatible
+        Without `evaluate`.
+    MissingPackage
+        If BoTorch is missing.
+    BadArgument
+        If `evaluate` cannot be called, `first` is below 2, or `budget` is below `first`.
+
     References
     ----------
     Muratore et al., "Data-efficient domain randomization with Bayesian optimization", 2021,

@@ -123,6 +123,20 @@ class DROPO(Estimator):
         Student t where the residuals of a Gaussian fit have longer tails (outliers among them), and
         with a memory in whole runs. "gaussian": nothing else, but in whole runs.
 
+    Raises
+    ------
+    UnknownName
+        If a likelihood, or a named `start`, `starts`, `noise` or `epsilon`, is none of those that
+        it may be.
+    BadArgument
+        If `budget` is below 1, `degrees` is not above 2, or `draws` or `redraw` is given beside a
+        likelihood that brings its own settings.
+    Incompatible
+        If `draws` or `redraw` is given for a likelihood that draws nothing; by `fit`, if the
+        likelihood cannot be fitted with the optimizer, the starts or the effects that are there.
+    SimulationFailed
+        By `fit`, if the simulator diverges where a search of a sampled likelihood begins.
+
     Notes
     -----
     Priors of the problem are those of the means: the fit maximises log-likelihood + log prior, and

@@ -48,6 +48,12 @@ class EPOpt(Estimator):
         Factor on the particles' covariance in the proposal, whose tails must be wider than its
         target's.
 
+    Raises
+    ------
+    BadArgument
+        If `rounds` is below 1, `least` is not in (0, 1), or `widening` is below 1; by `fit`, if
+        there are fewer than 10 particles for each parameter.
+
     Notes
     -----
     p(xi | data) is proportional to p(xi) times the product over the rows of

@@ -104,6 +104,11 @@ class LeastSquares(Estimator):
 
     Raises
     ------
+    BadArgument
+        If `budget` is below 1, `step` is not in (0, 0.5], or a value of `start` is no finite
+        number.
+    UnknownName
+        If `weights` or `start` is a name that is none of those above.
     Incompatible
         Where the problem has priors and weights are not "noise": a prior is weighed against noise.
     """

@@ -92,6 +92,15 @@ class NPE(Estimator):
         what least squares leaves.
     settings : RoundSettings
 
+    Raises
+    ------
+    MissingPackage
+        If torch or sbi is missing.
+    UnknownName
+        If there is no such `density` or `summary`.
+    BadArgument
+        If `simulations` is below 50, `rounds` below 1, or `draws` below 100.
+
     References
     ----------
     .. [1] Ramos, Possas, Fox, "BayesSim: adaptive domain randomization via probabilistic inference

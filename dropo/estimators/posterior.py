@@ -94,6 +94,14 @@ class Posterior(Estimator):
         Where walkers begin on likelihoods that are not local: a least-squares estimate, the middle
         of the box, or values as `DROPO` takes them.
     settings : DrawSettings
+
+    Raises
+    ------
+    UnknownName
+        If `over` or a named `start` is none of the above; by `fit`, if there is no likelihood,
+        family or sampler of that name, or a prior is of an unknown that does not exist.
+    BadArgument
+        If `epsilon` is another text than "learn", or a value of `start` is no finite number.
     """
 
     over: Literal["parameters", "distribution"] = "parameters"

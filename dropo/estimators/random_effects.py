@@ -61,9 +61,20 @@ class RandomEffects(Estimator):
         "truncated_gaussian": its spreads need 2 groups, however many parameters there are, as each
         is fitted on its own. "full": its covariance needs more groups than parameters, else it is
         singular.
-    epsilon, start, start_noise
-        As those of `DROPO`.
+    epsilon : float, tuple of float, "learn", "tune" or None
+        The noise variance, one or for each signal [signal unit^2], as that of `DROPO`.
+    start : {"middle", "least-squares", "random"}, mapping, sequence of float or Fit
+        Where the search of the population's mean begins, as that of `DROPO`.
+    start_noise : bool or None
+        Whether the measured start states carry the noise too; None: as the problem says.
     settings : GroupSettings
+
+    Raises
+    ------
+    UnknownName
+        If `family`, or a named `start` or `epsilon`, is none of those that it may be.
+    Incompatible
+        By `fit`, if the data are one group, or too few groups for a full covariance.
 
     Notes
     -----

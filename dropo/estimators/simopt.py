@@ -81,6 +81,15 @@ class SimOpt(InteractiveEstimator):
         By which the log-likelihood is estimated.
     temperatures : TemperatureSettings
 
+    Raises
+    ------
+    Incompatible
+        Without `collect`.
+    BadArgument
+        If `collect` cannot be called, `iterations` or `updates` is below 1, `bound` is not above 0,
+        a weight is negative or both are 0, or `spread` is not in (0, 0.5]; by `fit`, if there are
+        fewer than 4 samples for each parameter.
+
     Notes
     -----
     The simulator replays the collected actions over segments as the problem cuts them, where the

@@ -25,6 +25,11 @@ class MonteCarlo(SampledLikelihood):
         Degrees of freedom, above 2, of a multivariate Student t in the Gaussian's place, with the
         same covariance S [2]_.
 
+    Raises
+    ------
+    BadArgument
+        If `degrees` is not above 2, or a setting breaks a rule of `SampledLikelihood`.
+
     Notes
     -----
     log N(y; m, S), where m and Cov are the mean and unbiased covariance of the predictions and

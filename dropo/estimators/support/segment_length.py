@@ -75,6 +75,11 @@ class ChooseHorizon(Estimator):
         The horizons to try, in control steps.
     settings : HorizonSettings
 
+    Raises
+    ------
+    BadArgument
+        If there are no lengths, or one is below 1.
+
     Notes
     -----
     Likelihoods with different horizons are of different data, so every fit is scored on the same
