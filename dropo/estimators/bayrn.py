@@ -33,9 +33,9 @@ class AcquisitionSettings:
     Attributes
     ----------
     restarts : int
-        Local searches.
+        So many local searches are made.
     candidates : int
-        Random points of which their starts are chosen.
+        Their starts are chosen from so many random points.
     """
 
     restarts: int = 4

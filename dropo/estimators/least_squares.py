@@ -30,9 +30,9 @@ class PriorPassSettings:
     Attributes
     ----------
     passes : int
-        At most so many, each with the normal prior of the same slope and curvature.
+        So many passes are made at most, each with the normal prior of the same slope and curvature.
     settled : float
-        They end where no centre moves by more of its prior's standard deviations.
+        Passes end where no centre moves by more of its prior's standard deviations.
     """
 
     passes: int = 20

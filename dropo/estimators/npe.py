@@ -34,19 +34,20 @@ class RoundSettings:
     Attributes
     ----------
     margin : float
-        The next box extends beyond the draws by this fraction of their own range, and ...
+        The next box extends beyond the draws by this fraction of their own range, and by `edge`.
     edge : float
-        ... by this fraction of the box before.
+        The next box extends further by this fraction of the box before.
     settled : float
         A round whose draws leave more than this fraction of every side of its box ends the search.
     step : float
         Half width of the differences behind the slopes, as a fraction of the box.
     minimum_simulations : int
-        That must not diverge in a round.
+        So many simulations of a round must not diverge.
     batch : int
         Parameter vectors that are simulated at once: all rows of all signals are kept.
     learning_rate : float
-        Of the network: small ones take six times what sbi gives large ones.
+        Step of the optimizer that trains the network: small networks take six times what sbi gives
+        large ones.
     """
 
     margin: float = 0.25

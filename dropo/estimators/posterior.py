@@ -42,9 +42,11 @@ class DrawSettings:
     r_hat : float
         Largest split R-hat before draws are used.
     effective_sample_size : float
-        Least effective sample size.
-    kept_draws, kept_numbers : int
-        The log-likelihoods of the rows are kept of at most so many draws, and so many numbers.
+        Smallest effective sample size before draws are used.
+    kept_draws : int
+        The log-likelihoods of the rows are kept of at most so many draws.
+    kept_numbers : int
+        At most so many of these numbers are kept, rows times draws.
 
     References
     ----------

@@ -34,10 +34,12 @@ class TemperatureSettings:
 
     Attributes
     ----------
-    lowest, highest : float
-        In units of the standard deviation of the costs.
+    lowest : float
+        The coldest temperature, in units of the standard deviation of the costs.
+    highest : float
+        The hottest one, in the same units.
     count : int
-        How many, with equal ratios.
+        So many are tried, with equal ratios.
     """
 
     lowest: float = 1e-6

@@ -36,7 +36,7 @@ class FamilyCheckSettings:
         Between two clusters there are fewer groups than this fraction of those in the same span
         around the middle of either.
     rounds : int
-        Of the expectation-maximisation by which a correlation is estimated.
+        Rounds of the expectation-maximisation by which a correlation is estimated.
     named : int
         Groups named in a sentence, at most.
     """

@@ -29,19 +29,20 @@ class HeldOutSettings:
     Attributes
     ----------
     horizons : tuple of int
-        After how many control steps a diagnosis gives errors.
+        Control steps after which a diagnosis gives errors.
     maximum : int
-        Windows of one horizon, at most.
+        So many windows of one horizon are taken at most.
     maximum_steps : int
-        Control steps in all windows of one horizon, at most ...
+        The windows of one horizon have so many control steps in all at most, unless they were then
+        fewer than `minimum`.
     minimum : int
-        ... but no fewer windows than these, as far as the data have them.
+        So many windows of one horizon are taken at least, as far as the data have them.
     fewest : int
-        Windows below which a diagnosis gives no errors of a horizon.
+        With fewer windows of a horizon a diagnosis gives no errors of it.
     blocks : int
-        Blocks of time that few trajectories are cut into, of which every other one is held out.
+        Few trajectories are cut into so many blocks of time, of which every other one is held out.
     few_trajectories : int
-        Number of trajectories below which blocks of time take their place.
+        With fewer trajectories blocks of time are held out in the place of whole trajectories.
     least_variance : float
         Fraction of a signal's variance that counts as motion however large its noise is.
     """

@@ -28,11 +28,13 @@ class ResidualTestSettings:
 
     Attributes
     ----------
-    smallest_penalty, largest_penalty : float
-        Ends of the logarithmic grid of ridge penalties that generalised cross-validation chooses
-        from.
+    smallest_penalty : float
+        Lower end of the logarithmic grid of ridge penalties from which generalised cross-validation
+        chooses.
+    largest_penalty : float
+        Upper end of that grid.
     penalties : int
-        Number of penalties.
+        The grid has so many penalties.
     fourier_features : int
         Random features of a Gaussian kernel [1]_.
     cut : float

@@ -30,7 +30,7 @@ class ReweightingSettings:
     degrees : float
         Degrees of freedom of the Student t whose weights the rows have.
     prior_information : float
-        Of a normal prior around each value, in units of the widths.
+        Information of a normal prior around each value, in units of the widths.
     maximum_step : float
         Longest step, as a fraction of the widths.
     """

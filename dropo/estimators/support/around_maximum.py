@@ -25,13 +25,17 @@ class WidthSettings:
     Attributes
     ----------
     errors : float
-        So many standard errors of the means.
-    least, first, largest : float
-        The least width, the largest one at first, and the largest one at all, as fractions of the
-        search interval.
-    edge, crowded : float
-        A model is too narrow where more than the fraction `crowded` of the draws lies in the last
-        fraction `edge` of a trusted interval.
+        A model is as wide as so many standard errors of the means.
+    least : float
+        Smallest width, as a fraction of the search interval.
+    first : float
+        Largest width of the first model, as a fraction of the search interval.
+    largest : float
+        Largest width of any model, as a fraction of the search interval.
+    edge : float
+        This fraction of a trusted interval, at either end, is its edge.
+    crowded : float
+        A model is too narrow where more than this fraction of the draws lies in an edge.
     """
 
     errors: float = 3.0

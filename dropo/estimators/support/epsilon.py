@@ -28,8 +28,8 @@ class NoiseSettings:
     accepted : float
         A sweep without a threshold accepts this multiple of its least mean squared error.
     rounding : float
-        What is added to that, as a fraction of the variance of all targets, so that errors which
-        differ by rounding alone are all accepted.
+        A sweep accepts errors that are larger by this fraction of the variance of all targets, so
+        that those which differ by rounding alone are all accepted.
     """
 
     lowest: float = 1e-8

@@ -21,7 +21,7 @@ class FinalStepSettings:
     Attributes
     ----------
     simulations : int
-        Simulations of all segments, at most; each is followed by a step.
+        All segments are simulated so many times at most; a step follows each.
     settled : float
         A step below this fraction of the standard errors is the last.
     """

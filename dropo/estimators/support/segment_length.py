@@ -25,9 +25,10 @@ class HorizonSettings:
     Attributes
     ----------
     minimum_segments : int
-        Segments that a horizon needs in the fitted and in the held-out part.
+        A horizon needs so many segments in the fitted and in the held-out part.
     every : int
-        Every third trajectory, or the last third of each, is held out.
+        The last of every so many trajectories is held out; where there are fewer, the last of so
+        many parts of each.
     lowest : float
         Least standard deviation of an error, as a fraction of the signal's: smaller errors are not
         distinguished.

@@ -24,9 +24,11 @@ class DifferenceSettings:
 
     Attributes
     ----------
-    least, largest : float
-        Half widths of the simulator's differences: a contact that switches inside a step gives
-        slopes without bound as differences shrink.
+    least : float
+        Smallest half width of the simulator's differences: a contact that switches inside a step
+        gives slopes without bound as differences shrink.
+    largest : float
+        Largest half width of the simulator's differences.
     local : float
         Half width of a local model's differences, which is smooth.
     edge : float

@@ -26,8 +26,10 @@ class DesignSettings:
 
     Attributes
     ----------
-    points_per_term, spare_points : float, int
-        Design points for M polynomials: points_per_term M + spare_points.
+    points_per_term : float
+        A design has so many points for each polynomial.
+    spare_points : int
+        It has so many points more, whatever the number of polynomials.
     rough_order : int
         Highest order of a first, rough fit.
     rough_line : float

@@ -27,18 +27,21 @@ class GlobalSearchSettings:
     Attributes
     ----------
     points : int
-        Points of the box, a power of 2.
+        So many points of the box are tried, a power of 2.
     many : int
         From so many parameters on, there are twice as many points, of which one is searched from,
         and one further: each search costs more than there.
-    segments, steps : int
-        Segments that are simulated from each point: so many, or as many short ones as have no more
-        steps, up to so many.
+    segments : int
+        So many segments are simulated from each point, or as many short ones as have no more
+        control steps together.
+    steps : int
+        So many short segments are simulated at most.
     descents : bool
         Whether there are searches at all, or the best point is taken as it is.
-    searches, further : int
-        Searches from the best points; and once more from so many, where only one of the first ended
-        in the best optimum.
+    searches : int
+        Searches begin from so many of the best points.
+    further : int
+        So many more begin where only one of the first ended in the best optimum.
     apart : float
         Least distance of the points where searches begin, in the unit box.
     alike : float
@@ -50,11 +53,11 @@ class GlobalSearchSettings:
     worse : float
         A fit is worse than the best optimum by more than this for each compared number [nats].
     line : int
-        Points along each parameter on which maxima are counted.
+        Maxima are counted on so many points along each parameter.
     repeats : int
         So many maxima along a parameter are named.
     stretch : int
-        From one length of segments to the next.
+        Segments become longer by this factor, from one length to the next.
     follow : DescentSettings
         How an optimum is followed from one length to the next.
     """

@@ -28,11 +28,12 @@ class MisfitSettings:
         count alike.
     step : float
         Step of the differences, as a fraction of the unit box.
-    errors, widest : float
-        An optimum is so many of its own standard errors wide, and at most this fraction of the unit
-        box.
+    errors : float
+        An optimum is so many of its own standard errors wide.
+    widest : float
+        It is at most this fraction of the unit box wide.
     ridge : float
-        What is added to a curvature of unit diagonal before it is inverted.
+        This is added to a curvature of unit diagonal before it is inverted.
     floats : int
         Numbers that one batch of simulations may hold.
     """

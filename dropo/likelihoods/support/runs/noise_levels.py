@@ -28,20 +28,21 @@ class NoiseSettings:
     fewest : int
         Numbers of a signal below which its noise is taken as white and normal.
     memory : (float, float)
-        Where the correlation of neighbours is searched.
+        Ends of the interval in which the correlation of neighbouring instants is searched.
     degrees : tuple of float
-        Degrees of freedom that are tried.
+        Degrees of freedom of a Student t that are tried.
     sweeps : int
         Rounds over the signals in which memory is looked for, as what one signal's memory is
         depends on the others'.
     steady : float
-        They end where no correlation changes by more than this.
+        The rounds over the signals end where no correlation changes by more than this.
     inner : int
         Passes over the standard deviations for each memory that is tried.
     passes : int
         Passes over the standard deviations, at most.
     tolerance : float
-        They end where no variance changes by more than this fraction.
+        The passes over the standard deviations end where no variance changes by more than this
+        fraction.
     free : float
         Least fraction of a residual's variance that starts and parameters leave: below it a
         residual says nothing of the noise.
