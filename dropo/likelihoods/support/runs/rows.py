@@ -8,7 +8,7 @@ from dropo.core.numerics.array_api import is_tensor
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.validation import Array
-from dropo.likelihoods.linear import coordinates, moments_of, slopes_of_moments
+from dropo.likelihoods.support.member_moments import coordinates, moments_of, slopes_of_moments
 from dropo.likelihoods.support.runs.condensed import Condensed
 from dropo.likelihoods.support.runs.linearization import Columns
 
