@@ -182,7 +182,8 @@ def law_of_text(context: EffectContext, text: str) -> EffectInstance:
         raise BadArgument(f"A law is named as law:PLACE:FORMULA. Got law:{text}.")
     target, dot, variant = place.rpartition(".")
     if not dot or variant not in (COMMAND, *AXES):
-        target, variant = place, ""
+        target = place
+    variant = ""
     return law_instance(context, target, formula, variant)
 
 

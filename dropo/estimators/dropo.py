@@ -31,7 +31,6 @@ from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import Incompatible, SimulationFailed
 from dropo.core.services.registry import find
 from dropo.core.services.validation import Array, known, require
-from dropo.estimators.least_squares import estimate
 from dropo.estimators.support.epsilon import TAILS, noise_scale, noise_shape, tail_degrees, tune
 from dropo.estimators.support.family_of_groups import family_warnings
 from dropo.estimators.support.far_groups import with_models_of_their_own
@@ -44,6 +43,7 @@ from dropo.estimators.support.first_mean.global_search import (
     may_have_several,
 )
 from dropo.estimators.support.first_mean.search import search_from
+from dropo.estimators.support.point_estimate import estimate
 from dropo.estimators.support.rough_starts import (
     ROUGH_TAILS,
     SMOOTHED,
@@ -365,8 +365,10 @@ class DROPO(Estimator):
             return iterations.fit(mean, width)
 
         searched = search_from(problem, run, family, noise, mean, elsewhere, search, points)
-        problem, noise = searched.problem, searched.noise
-        objective, found = searched.objective, searched.found
+        problem = searched.problem
+        noise = searched.noise
+        objective = searched.objective
+        found = searched.found
         if problem.start_noise and not noise.start and starts_are_rough(problem):
             found = replace(found, reason=f"{found.reason} {SMOOTHED}")
 

@@ -194,7 +194,8 @@ class SlurmExecutor(Executor):
                 self._waiting.put(call)
                 return
             said = f"Job {job.job_id} was lost {call.starts} times: {_last_line(lost)}"
-            value, error = None, DropoError(said)
+            value = None
+            error = DropoError(said)
         if error is None:
             call.answer.set_result(value)
         else:

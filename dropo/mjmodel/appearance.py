@@ -247,7 +247,8 @@ def _outline(model: mujoco.MjModel, i: int) -> tuple[Array | None, float]:
         return np.concatenate(rings) * size, 0.0
     if kind == mujoco.mjtGeom.mjGEOM_MESH:
         mesh = int(model.geom_dataid[i])
-        start, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
+        start = int(model.mesh_vertadr[mesh])
+        count = int(model.mesh_vertnum[mesh])
         vertices = model.mesh_vert[start : start + count : max(1, count // MOST)]
         return np.asarray(vertices, dtype=float), 0.0
     return None, 0.0
@@ -337,7 +338,8 @@ def _where(model: mujoco.MjModel, data: mujoco.MjData, kind: str, i: int) -> Arr
 
 def _tendon(model: mujoco.MjModel, data: mujoco.MjData, i: int) -> Array | None:
     """The middle of what a tendon wraps: its joints, sites and geoms."""
-    start, count = int(model.tendon_adr[i]), int(model.tendon_num[i])
+    start = int(model.tendon_adr[i])
+    count = int(model.tendon_num[i])
     kinds = {
         int(mujoco.mjtWrap.mjWRAP_JOINT): "joint",
         int(mujoco.mjtWrap.mjWRAP_SITE): "site",

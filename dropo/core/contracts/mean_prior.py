@@ -56,8 +56,9 @@ class MeanPrior:
         if place not in self.distributions:
             return parameter
         low, high = self.distributions[place].support()
-        low, high = max(parameter.low, float(low)), min(parameter.high, float(high))
-        return replace(parameter, low=low, high=high)
+        return replace(
+            parameter, low=max(parameter.low, float(low)), high=min(parameter.high, float(high))
+        )
 
     def __bool__(self) -> bool:
         """Whether there is a prior at all."""

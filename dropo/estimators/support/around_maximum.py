@@ -13,8 +13,8 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.records.draws import Draws
 from dropo.core.records.fit import Fit
 from dropo.core.records.parameters import ParameterSpace
+from dropo.core.services.registry import find
 from dropo.core.services.validation import Array
-from dropo.estimators.dropo import DROPO
 from dropo.estimators.support.posterior_targets import Local
 
 
@@ -150,7 +150,7 @@ class AroundMaximum:
         if not self.noise.learned:
             count = len(self.problem.simulator.signals)
             epsilon = tuple(np.broadcast_to(self.noise.variance, count).tolist())
-        estimator = DROPO(
+        estimator = find("methods", "dropo")(
             likelihood=self.likelihood,
             family=self.family_name,
             epsilon=epsilon,
@@ -158,7 +158,8 @@ class AroundMaximum:
             degrees=self.noise.degrees,
         )
         # Draws have the priors; the likelihood is built where the data alone are best.
-        return estimator._fit(replace(self.problem, priors={}), self.run)
+        found: Fit = estimator._fit(replace(self.problem, priors={}), self.run)
+        return found
 
     def _build(self) -> Local:
         """The likelihood around the centre."""

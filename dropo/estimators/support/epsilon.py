@@ -14,7 +14,7 @@ from dropo.core.numerics.diverged_simulations import flat
 from dropo.core.records.fit import Fit, Status
 from dropo.core.records.fit_choices import NoiseTrial, NoiseTuning
 from dropo.core.services.validation import Array
-from dropo.estimators.least_squares import estimate, misfit
+from dropo.estimators.support.point_estimate import estimate, misfit
 
 
 @dataclass(frozen=True)

@@ -106,7 +106,8 @@ def search_from(
     except SimulationFailed:
         # Most of the box may explode.
         elsewhere = best_start(problem, run, mean, settings)
-        mean, width = elsewhere.best, elsewhere.width
+        mean = elsewhere.best
+        width = elsewhere.width
         try:
             done = Searched(problem, noise, *search(problem, noise, mean, width))
         except SimulationFailed:
