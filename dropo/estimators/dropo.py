@@ -45,8 +45,9 @@ from dropo.estimators.support.first_mean.global_search import (
 from dropo.estimators.support.first_mean.search import search_from
 from dropo.estimators.support.point_estimate import estimate
 from dropo.estimators.support.rough_starts import (
-    ROUGH_TAILS,
+    SEARCH,
     SMOOTHED,
+    SearchSettings,
     of_the_physics_step,
     search_settings,
     starts_are_rough,
@@ -122,6 +123,8 @@ class DROPO(Estimator):
         What learned noise may be where neither this nor the problem gives degrees. "auto": a
         Student t where the residuals of a Gaussian fit have longer tails (outliers among them), and
         with a memory in whole runs. "gaussian": nothing else, but in whole runs.
+    search : SearchSettings
+        How a local likelihood is searched: trust regions, and points of the whole box before.
 
     Raises
     ------
@@ -164,6 +167,7 @@ class DROPO(Estimator):
     degrees: float | None = None
     memory: MemorySettings = MEMORY
     noise: Literal["auto", "gaussian"] = "auto"
+    search: SearchSettings = SEARCH
     name = "dropo"
     uses_priors = True
 
@@ -223,7 +227,7 @@ class DROPO(Estimator):
             start_noise = problem.start_noise and not starts_are_rough(problem)
         degrees = problem.noise_degrees if self.degrees is None else self.degrees
         if degrees is None and self.noise == AUTOMATIC and learned and starts_are_rough(problem):
-            degrees = ROUGH_TAILS
+            degrees = self.search.rough.degrees
         return Noise(
             np.asarray(variance, dtype=float),
             learned,
@@ -285,7 +289,7 @@ class DROPO(Estimator):
         is_local = isinstance(likelihood, LocalLikelihood)
         several = is_wide(problem.space) or may_have_several(problem)
         if is_local and several and not unmeasured:
-            elsewhere = best_start(problem, run, mean, search_settings(problem)[1])
+            elsewhere = best_start(problem, run, mean, search_settings(problem, self.search)[1])
             mean = elsewhere.value
             problem = replace(problem, warnings=(*problem.warnings, *elsewhere.warnings))
         mean = np.clip(mean, prior.within.low, prior.within.high)
@@ -354,7 +358,7 @@ class DROPO(Estimator):
         make_optimizer = None
         if self.optimizer:
             make_optimizer = self._local_optimizer(self.optimizer, rng)
-        regions, points = search_settings(problem)
+        regions, points = search_settings(problem, self.search)
 
         def search(
             problem: Problem, noise: Noise, mean: Array, width: Array | None = None
@@ -436,7 +440,7 @@ class DROPO(Estimator):
         )
         if fit.status is Status.INTERRUPTED or not starts_are_rough(problem):
             return fit
-        of_step = of_the_physics_step(problem, run, fit, objective, found.point)
+        of_step = of_the_physics_step(problem, run, fit, objective, found.point, self.search.rough)
         return replace(fit, warnings=(*fit.warnings, *of_step))
 
     def _local_optimizer(self, name: str, rng: np.random.Generator) -> MakeOptimizer:
@@ -529,7 +533,7 @@ class DROPO(Estimator):
         try:
             run_fit = likelihood.fit_runs(problem, run, family, noise, mean)
         except SimulationFailed:
-            start = best_start(problem, run, mean, search_settings(problem)[1])
+            start = best_start(problem, run, mean, search_settings(problem, self.search)[1])
             run_fit = likelihood.fit_runs(problem, run, family, noise, start.best)
 
         # The fit, of the rows that start from the states that were found.

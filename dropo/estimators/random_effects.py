@@ -20,6 +20,7 @@ from dropo.core.services.errors import Incompatible
 from dropo.core.services.tables import number, text_table
 from dropo.core.services.validation import Array, known
 from dropo.estimators.dropo import DROPO
+from dropo.estimators.support.rough_starts import SEARCH, SearchSettings
 from dropo.evaluation.variance_components import variance_component_tests
 
 
@@ -68,6 +69,9 @@ class RandomEffects(Estimator):
     start_noise : bool or None
         Whether the measured start states carry the noise too; None: as the problem says.
     settings : GroupSettings
+        What counts as a difference between groups, and as too few data for one.
+    search : SearchSettings
+        How the likelihood is searched, as that of `DROPO`.
 
     Raises
     ------
@@ -92,6 +96,7 @@ class RandomEffects(Estimator):
     start: Start = "middle"
     start_noise: bool | None = None
     settings: GroupSettings = field(default_factory=GroupSettings)
+    search: SearchSettings = SEARCH
     name = "random-effects"
     uses_priors = True
 
@@ -105,6 +110,7 @@ class RandomEffects(Estimator):
             "epsilon": self.epsilon,
             "start": self.start,
             "start_noise": self.start_noise,
+            "search": self.search,
         }
         return _Population(
             likelihood="random-effects", family=self.family, settings=self.settings, **further
