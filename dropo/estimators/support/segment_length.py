@@ -15,8 +15,6 @@ from dropo.core.records.trajectories import Ints, Trajectories
 from dropo.core.services.errors import BadArgument, Incompatible, SimulationFailed
 from dropo.core.services.validation import Array, require
 
-LENGTHS = (1, 2, 5, 10, 20)
-
 
 @dataclass(frozen=True)
 class HorizonSettings:
@@ -24,6 +22,8 @@ class HorizonSettings:
 
     Attributes
     ----------
+    lengths : tuple of int
+        These horizons are tried where none are named [control steps].
     minimum_segments : int
         A horizon needs so many segments in the fitted and in the held-out part.
     every : int
@@ -36,6 +36,7 @@ class HorizonSettings:
         Least variance beside the fit's spread, as a fraction of the mean squared residual.
     """
 
+    lengths: tuple[int, ...] = (1, 2, 5, 10, 20)
     minimum_segments: int = 10
     every: int = 3
     lowest: float = 1e-4
@@ -93,7 +94,7 @@ class ChooseHorizon(Estimator):
     """
 
     estimator: Estimator
-    lengths: tuple[int, ...] = LENGTHS
+    lengths: tuple[int, ...] = DEFAULTS.lengths
     settings: HorizonSettings = field(default_factory=HorizonSettings)
 
     def __post_init__(self) -> None:
