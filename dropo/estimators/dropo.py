@@ -549,10 +549,10 @@ class DROPO(Estimator):
             optimizer="gauss-newton",
         )
 
-        # What the search doubts counts against the model; what it did not reach has no errors.
+        # What the search warns of counts against the model; what it did not reach has no errors.
         check = fit.model_check
-        if run_fit.doubts and check is not None:
-            sentences = (*check.sentences, *run_fit.doubts)
+        if run_fit.warnings and check is not None:
+            sentences = (*check.sentences, *run_fit.warnings)
             check = replace(check, passed=False, sentences=sentences)
         if not run_fit.reached:
             unknown = np.full(len(fit.mean), np.nan)
@@ -562,7 +562,7 @@ class DROPO(Estimator):
         return replace(
             fit,
             model_check=check,
-            warnings=(*fit.warnings, *run_fit.doubts),
+            warnings=(*fit.warnings, *run_fit.warnings),
             epsilon=run_fit.epsilon,
             held_out=held_out_errors(problem, run, fit.mean),
         )

@@ -358,7 +358,7 @@ class RunFit:
         Noise variance of each signal of the problem that was given [signal unit^2].
     details : dict
         For fit.json: the noise of each signal, the runs and their pieces.
-    doubts : tuple of str
+    warnings : tuple of str
         What says that the model is wrong, a sentence each.
     reached : bool
         Whether the search came so close to the measurements that errors mean anything.
@@ -369,7 +369,7 @@ class RunFit:
     found: "SearchResult"
     epsilon: Array
     details: dict[str, Any]
-    doubts: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
     reached: bool = True
 
 

@@ -77,7 +77,9 @@ class MeanPrior:
         float
             In nats; the sum over the parameters that have a prior, -inf outside its ends.
         """
-        return float(sum(law.logpdf(mean[i]) for i, law in self.distributions.items()))
+        return float(
+            sum(distribution.logpdf(mean[i]) for i, distribution in self.distributions.items())
+        )
 
     def score(self, mean: Array) -> Array:
         """Differentiate the log density by the means.
@@ -93,8 +95,8 @@ class MeanPrior:
             In nats per unit of each parameter; 0 where it has no prior.
         """
         out = np.zeros(len(self.space))
-        for i, law in self.distributions.items():
-            out[i] = slope(law, mean[i : i + 1])[0]
+        for i, distribution in self.distributions.items():
+            out[i] = slope(distribution, mean[i : i + 1])[0]
         return out
 
     def information(self, mean: Array) -> Array:
@@ -112,9 +114,9 @@ class MeanPrior:
             finite.
         """
         out = np.zeros(len(self.space))
-        for i, law in self.distributions.items():
-            step = STEP * (law.ppf(0.75) - law.ppf(0.25))
-            below, here, above = law.logpdf(mean[i] + step * np.array([-1.0, 0.0, 1.0]))
+        for i, distribution in self.distributions.items():
+            step = STEP * (distribution.ppf(0.75) - distribution.ppf(0.25))
+            below, here, above = distribution.logpdf(mean[i] + step * np.array([-1.0, 0.0, 1.0]))
             if np.isfinite([below, here, above]).all():
                 out[i] = max((2 * here - below - above) / step**2, 0.0)
         return out

@@ -253,7 +253,7 @@ def _prior_use(problem: Problem, found: OfPrior) -> PriorUse:
     names = problem.space.names
     pull = dict(zip(names, found.pull.tolist(), strict=True))
     return PriorUse(
-        laws={name: describe(law) for name, law in problem.priors.items()},
+        laws={name: describe(prior) for name, prior in problem.priors.items()},
         share=dict(zip(names, found.share.tolist(), strict=True)),
         apart={name: pull[name] for name in problem.priors},
     )

@@ -230,7 +230,7 @@ def best_start(
         _reached(values, settings) == len(values),
         misfit,
         float(values[best]),
-        _doubts(misfit, points, values, settings),
+        _warnings(misfit, points, values, settings),
     )
 
 
@@ -295,7 +295,7 @@ def _reached(values: Array, settings: GlobalSearchSettings) -> int:
     return int(np.sum(values <= values.min() + settings.alike))
 
 
-def _doubts(
+def _warnings(
     misfit: Misfit, points: Array, values: Array, settings: GlobalSearchSettings
 ) -> tuple[str, ...]:
     """A sentence where the best optimum was found once alone, or has an equal elsewhere."""
