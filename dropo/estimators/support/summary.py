@@ -25,7 +25,7 @@ from dropo.estimators.support.standard_errors import (
     standard_errors,
 )
 from dropo.evaluation.held_out import held_out_errors
-from dropo.evaluation.identifiability import blind_spots, determined, null_directions
+from dropo.evaluation.identifiability import describe_not_identifiable, determined, null_directions
 from dropo.evaluation.likely_cause import likely_cause
 from dropo.evaluation.model_check import check_model
 
@@ -177,7 +177,7 @@ def _with_errors(
         "scale_se": errors.scale,
         "degrees_of_freedom": errors.degrees,
         "correlation_se": errors.correlation,
-        "identifiability": tuple(blind_spots(problem, mean, errors.jacobian, null)),
+        "identifiability": tuple(describe_not_identifiable(problem, mean, errors.jacobian, null)),
     }
 
 
