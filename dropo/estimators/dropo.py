@@ -398,6 +398,22 @@ class DROPO(Estimator):
                 search, problem, run, family, noise, objective, found
             )
 
+        return self._fit_at_maximum(
+            problem, run, family, objective, found, start_filter=start_filter, rng=rng
+        )
+
+    def _fit_at_maximum(
+        self,
+        problem: Problem,
+        run: Run,
+        family: Family,
+        objective: LocalLogLikelihood,
+        found: SearchResult,
+        *,
+        start_filter: StartFilter | None,
+        rng: np.random.Generator,
+    ) -> Fit:
+        """The fit at a maximum of a local likelihood, with what simulations there say of it."""
         # Where nothing varies, the simulator itself has the last word on the means.
         constant = tuple(parameters_without_spread(family, objective, found.point))
         varying = [name for name in problem.space.names if name not in constant]
