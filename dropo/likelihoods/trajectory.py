@@ -35,7 +35,7 @@ from dropo.likelihoods.support.runs.linearization import (
     linearize_windows,
 )
 from dropo.likelihoods.support.runs.noise_levels import (
-    NoiseLaw,
+    NoiseDistribution,
     NoiseSettings,
     RestrictedEstimates,
     white,
@@ -68,37 +68,44 @@ class TrajectorySettings:
         known so well that a link adds little, and the linearization no longer holds.
     start_step : float
         Half width of the differences in starts, as a fraction of each coordinate's spread.
-    value_step, least_value_step : float
-        The same of the parameters, as a fraction of their intervals: at first, and at least; in
-        between, a standard error.
+    value_step : float
+        Half width of the first differences in the parameters, as a fraction of their intervals, and
+        the largest one later: then it is a standard error.
+    least_value_step : float
+        Smallest half width of the later ones, as a fraction of the intervals.
     prior_spread : float
         A start is within this many spreads of its coordinate from its first guess.
     longest : float
         Longest step of a parameter, as a fraction of its interval.
-    rounds : int
-        Linearizations at most.
+    outer_iterations : int
+        So many linearizations are made at most.
     halvings : int
         How often a step is halved that leads away from the measurements.
     close : float
         Noise is looked into from where no parameter moves by more standard errors than this.
     settled : float
-        The end: no parameter moves by more standard errors than this.
+        The search ends where no parameter moves by more standard errors than this.
     worse : float
         A step is halved that costs more than this [nats].
-    spread_rounds : int
-        Turns at most in which every group is linearized at its own parameters.
+    spread_iterations : int
+        So many iterations are made at most in which every group is linearized at its own
+        parameters.
     settled_mode : float
-        They end where no group's parameter moves by more of its standard errors.
+        These iterations end where no group's parameter moves by more of its standard errors.
     spread_gain : float
         A spread between groups is kept where it raises the log-likelihood by more than this [nats].
-    stuck, stuck_level : float
-        A window is stuck where its mean squared residual is this many times the noise's, and so
-        large with this probability only.
-    most_stuck : float
-        Share of windows that are stuck above which the search did not reach the measurements.
-    astray, astray_z : float
-        The model is wrong where what is new at an instant is this many times as large along whole
-        runs as within windows of their own, and by so many standard errors.
+    stuck : float
+        A window may be stuck where its mean squared residual is this many times the noise's.
+    stuck_level : float
+        It is stuck where noise makes it so large with this probability only.
+    largest_stuck : float
+        The search did not reach the measurements where more than this fraction of the windows is
+        stuck.
+    excess : float
+        The model may be wrong where what is new at an instant is this many times as large along
+        whole runs as within windows of their own.
+    excess_z : float
+        The model is wrong where it is larger by so many standard errors, too.
     """
 
     window: int = 20
@@ -108,19 +115,19 @@ class TrajectorySettings:
     least_value_step: float = 1e-5
     prior_spread: float = 10.0
     longest: float = 0.25
-    rounds: int = 30
+    outer_iterations: int = 30
     halvings: int = 5
     close: float = 1.0
     settled: float = 0.02
     worse: float = 1.0
-    spread_rounds: int = 6
+    spread_iterations: int = 6
     settled_mode: float = 0.1
     spread_gain: float = 2.0
     stuck: float = 2.0
     stuck_level: float = 1e-3
-    most_stuck: float = 0.05
-    astray: float = 1.15
-    astray_z: float = 5.0
+    largest_stuck: float = 0.05
+    excess: float = 1.15
+    excess_z: float = 5.0
 
 
 @dataclass(frozen=True)
@@ -171,10 +178,10 @@ class Trajectory(RunLikelihood):
         search = _Search(self, problem.simulator, problem.trajectories, length, unmeasured)
         search.take_noise(noise)
         search.prior = MeanPrior(problem.priors, problem.space)
-        look, found = search.run(run, mean)
+        linearized, found = search.run(run, mean)
         if found.status is not Status.INTERRUPTED:
-            look, found = search.with_spread(run, look, found, family)
-        return search.fit(problem, family, look, found)
+            linearized, found = search.with_spread(run, linearized, found, family)
+        return search.fit(problem, family, linearized, found)
 
     def bind(
         self,
@@ -214,7 +221,7 @@ class Trajectory(RunLikelihood):
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """Where the search is: parameters (d,), window starts (N, s), windows, noise law.
+    """Where the search is: parameters (d,), window starts (N, s), windows, their noise.
 
     Where groups differ, own are the parameters of each (G, d).
     """
@@ -222,12 +229,12 @@ class _State:
     value: Array
     starts: Array
     windows: Windows
-    law: NoiseLaw
+    noise: NoiseDistribution
     own: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
-class _Look:
+class _Linearized:
     """A state linearized: its columns, and its pieces without their starts."""
 
     state: _State
@@ -270,7 +277,7 @@ class _Search:
         self.width = simulator.space.high - simulator.space.low
         self.value_step = self.settings.value_step * self.width
         self.prior = MeanPrior({}, simulator.space)
-        self.law: NoiseLaw | None = None
+        self.noise: NoiseDistribution | None = None
         self.given = False
         self.degrees: float | None = None
 
@@ -289,18 +296,18 @@ class _Search:
         if self.given:
             model = model.positive("Trajectory")
         self.degrees = model.noise.degrees
-        self.law = white(np.sqrt(np.maximum(model.shape[own], 1e-300)), self.degrees)
+        self.noise = white(np.sqrt(np.maximum(model.shape[own], 1e-300)), self.degrees)
 
     def first(self, value: Array) -> _State:
         """The state in which the search begins: measured starts."""
-        assert self.law is not None
+        assert self.noise is not None
         count = len(self.first_windows.segments)
         starts = np.zeros((count, int(self.observed.state.sum())))
-        return _State(value, starts, self.first_windows, self.law)
+        return _State(value, starts, self.first_windows, self.noise)
 
-    # --- one round
+    # --- one outer iteration
 
-    def look(self, state: _State) -> _Look:
+    def linearize(self, state: _State) -> _Linearized:
         """Linearize a state; count its simulations with those of the problem's simulator."""
         whole = self.observed.simulator
         before = whole.steps, whole.failures
@@ -319,31 +326,31 @@ class _Search:
                 self.simulator.steps += whole.steps - before[0]
                 self.simulator.failures += whole.failures - before[1]
         state = replace(state, windows=windows)
-        return _Look(state, columns, self._condense(columns, state))
+        return _Linearized(state, columns, self._condense(columns, state))
 
     def _condense(self, columns: Columns, state: _State) -> Condensed:
         """The pieces without their starts."""
         opening = np.flatnonzero(state.windows.depth == 0)
-        return condense(columns, state.law, self.start_prior, state.starts[opening])
+        return condense(columns, state.noise, self.start_prior, state.starts[opening])
 
-    def with_noise(self, look: _Look, *, choose: bool) -> _Look:
+    def with_noise(self, linearized: _Linearized, *, choose: bool) -> _Linearized:
         """The same with noise levels as the residuals have them."""
         if self.given:
-            return look
+            return linearized
         prior = np.concatenate([self.start_prior, self.width**-2.0])
-        estimates = RestrictedEstimates(look.columns, prior, self.noise_settings)
-        law = look.state.law
+        estimates = RestrictedEstimates(linearized.columns, prior, self.noise_settings)
+        noise = linearized.state.noise
         if choose:
-            law = estimates.choose(white(law.sd)) if self.degrees is None else law
-        law = estimates.levels(law)
-        state = replace(look.state, law=law)
-        return replace(look, state=state, condensed=self._condense(look.columns, state))
+            noise = estimates.choose(white(noise.sd)) if self.degrees is None else noise
+        noise = estimates.levels(noise)
+        state = replace(linearized.state, noise=noise)
+        return replace(linearized, state=state, condensed=self._condense(linearized.columns, state))
 
-    def step_of(self, look: _Look) -> Array:
+    def step_of(self, linearized: _Linearized) -> Array:
         """(d,) the Gauss-Newton step of the parameters, within their box."""
-        value = look.state.value
-        information = look.information + np.diag(self.prior.information(value))
-        score = look.condensed.scores.sum(axis=0) + self.prior.score(value)
+        value = linearized.state.value
+        information = linearized.information + np.diag(self.prior.information(value))
+        score = linearized.condensed.scores.sum(axis=0) + self.prior.score(value)
         size = np.sqrt(np.maximum(np.diagonal(information), 1e-300))
         scaled = information / np.outer(size, size) + 1e-12 * np.eye(len(size))
         root = np.linalg.cholesky(scaled).T
@@ -355,185 +362,212 @@ class _Search:
         high = np.maximum(high, low + 1e-12 * np.maximum(np.abs(low), 1e-30))
         return np.asarray(lsq_linear(root, right, (low, high)).x / size)
 
-    def moved(self, look: _Look, step: Array, share: float = 1.0) -> _State:
-        """The state behind a share of a step (d,), with the starts that go with it."""
-        windows = look.state.windows
+    def shifted(self, linearized: _Linearized, step: Array, fraction: float = 1.0) -> _State:
+        """The state behind a fraction of a step (d,), with the starts that go with it."""
+        windows = linearized.state.windows
         starts = self._start_steps(
-            look, np.broadcast_to(step, (len(windows.pieces.spans), len(step)))
+            linearized, np.broadcast_to(step, (len(windows.pieces.spans), len(step)))
         )
         value = np.clip(
-            look.state.value + share * step, self.prior.within.low, self.prior.within.high
+            linearized.state.value + fraction * step, self.prior.within.low, self.prior.within.high
         )
-        return replace(look.state, value=value, starts=look.state.starts + share * starts)
+        return replace(
+            linearized.state, value=value, starts=linearized.state.starts + fraction * starts
+        )
 
-    def _start_steps(self, look: _Look, steps: Array) -> Array:
+    def _start_steps(self, linearized: _Linearized, steps: Array) -> Array:
         """(N, s) steps of all window starts that go with the pieces' parameters' (P, d)."""
-        condensed = look.condensed
-        columns = look.columns
+        condensed = linearized.condensed
+        columns = linearized.columns
         follow = (condensed.start_by_value @ steps[:, :, None])[:, :, 0]
-        piece = look.state.windows.piece
+        piece = linearized.state.windows.piece
         own = (condensed.start_step + follow)[piece][:, :, None]
         moved = columns.of_start @ own + columns.of_value @ steps[piece][:, :, None]
         return np.asarray(moved[:, :, 0] + columns.gap)
 
     def advanced(self, state: _State, step: Array) -> _State:
-        """The state behind one round in which the parameters make a given step."""
-        return self.moved(self.look(state), step)
+        """The state behind one outer iteration in which the parameters make a given step."""
+        return self.shifted(self.linearize(state), step)
 
-    def errors(self, look: _Look) -> Array:
+    def errors(self, linearized: _Linearized) -> Array:
         """(d,) standard errors by the information, at most the width of the box."""
-        known = self.width**-2.0 + self.prior.information(look.state.value)
-        information = look.information + np.diag(known)
+        known = self.width**-2.0 + self.prior.information(linearized.state.value)
+        information = linearized.information + np.diag(known)
         return np.sqrt(np.diagonal(np.linalg.inv(information)))
 
     # --- the search
 
-    def run(self, run: Run, mean: Array) -> tuple[_Look, SearchResult]:
-        """Rounds until nothing moves."""
-        self._best: _Look | None = None
+    def run(self, run: Run, mean: Array) -> tuple[_Linearized, SearchResult]:
+        """Outer iterations until nothing moves."""
+        self._best: _Linearized | None = None
         try:
-            return self._rounds(run, mean)
+            return self._outer_iterations(run, mean)
         except KeyboardInterrupt:
             if self._best is None:
                 raise
             return self._best, self._result(self._best, Status.INTERRUPTED, INTERRUPTED, 0)
 
-    def _rounds(self, run: Run, mean: Array) -> tuple[_Look, SearchResult]:
-        """The search, whose best look is kept for an interruption."""
+    def _outer_iterations(self, run: Run, mean: Array) -> tuple[_Linearized, SearchResult]:
+        """The search, whose best linearized state is kept for an interruption."""
         settings = self.settings
         step = np.zeros(len(mean))
-        share = 1.0
+        fraction = 1.0
         chosen = 0
         state = self.first(mean)
-        for count in range(1, settings.rounds + 1):
+        for count in range(1, settings.outer_iterations + 1):
             best = self._best
-            look: _Look | None = None
+            linearized: _Linearized | None = None
             try:
-                look = self._counted(run, state)
+                linearized = self._counted(run, state)
             except SimulationFailed:
                 if best is None:
                     raise
-            if best is not None and (look is None or self._is_worse(look, best, chosen > 0)):
+            if best is not None and (
+                linearized is None or self._is_worse(linearized, best, chosen > 0)
+            ):
                 # Further from the measurements than before: half of the step.
-                share /= 2
-                if share < 0.5**settings.halvings:
+                fraction /= 2
+                if fraction < 0.5**settings.halvings:
                     best = self.with_noise(best, choose=chosen < 2)
                     return best, self._result(best, Status.CONVERGED, STALLED, count)
-                state = self.moved(best, step, share)
-                state = replace(state, law=best.state.law)
+                state = self.shifted(best, step, fraction)
+                state = replace(state, noise=best.state.noise)
                 continue
-            assert look is not None
+            assert linearized is not None
             near = best is not None and bool(
                 np.all(np.abs(step) < settings.close * self.errors(best))
             )
-            look = self.with_noise(look, choose=near and chosen < 2)
+            linearized = self.with_noise(linearized, choose=near and chosen < 2)
             chosen += near
-            step = self.step_of(look)
-            share = 1.0
-            self._best = look
-            errors = self.errors(look)
+            step = self.step_of(linearized)
+            fraction = 1.0
+            self._best = linearized
+            errors = self.errors(linearized)
             run.progress(min(0.95, count / 8), f"round {count}, whole runs")
             done = bool(np.all(np.abs(step) < settings.settled * errors))
             if done and (chosen >= 2 or (self.given and count > 2)):
-                return look, self._result(look, Status.CONVERGED, SETTLED, count)
+                return linearized, self._result(linearized, Status.CONVERGED, SETTLED, count)
             least = settings.least_value_step * self.width
             self.value_step = np.clip(errors, least, settings.value_step * self.width)
-            state = self.moved(look, step)
+            state = self.shifted(linearized, step)
             if not near:  # far off, motion may have looked more unstable than it is
                 state = replace(state, windows=self.first_windows)
         assert self._best is not None
         return self._best, self._result(
-            self._best, Status.OUT_OF_BUDGET, UNSETTLED, settings.rounds
+            self._best, Status.OUT_OF_BUDGET, UNSETTLED, settings.outer_iterations
         )
 
-    def _is_worse(self, look: _Look, best: _Look, law_is_known: bool) -> bool:
-        """Whether a look is further from the measurements than the best, under the same noise."""
-        if self.given or law_is_known:
-            law = best.state.law
-            lost = log_densities(best.columns, law).sum() - log_densities(look.columns, law).sum()
+    def _is_worse(self, linearized: _Linearized, best: _Linearized, noise_is_known: bool) -> bool:
+        """Whether a state is further from the measurements than the best, under the same noise."""
+        if self.given or noise_is_known:
+            noise = best.state.noise
+            lost = (
+                log_densities(best.columns, noise).sum()
+                - log_densities(linearized.columns, noise).sum()
+            )
         else:
             counts = best.columns.valid.sum(axis=0)
-            ratio = _mean_squares(look.columns) / _mean_squares(best.columns)
+            ratio = _mean_squares(linearized.columns) / _mean_squares(best.columns)
             lost = 0.5 * np.sum(counts * np.log(ratio))
-        lost += self.prior.value(best.state.value) - self.prior.value(look.state.value)
+        lost += self.prior.value(best.state.value) - self.prior.value(linearized.state.value)
         return bool(lost > self.settings.worse)
 
-    def _counted(self, run: Run, state: _State) -> _Look:
-        """A look whose simulations count as an evaluation."""
+    def _counted(self, run: Run, state: _State) -> _Linearized:
+        """A linearized state whose simulations count as an evaluation."""
         with run.counting(evaluations=1):
-            return self.look(state)
+            return self.linearize(state)
 
-    def _result(self, look: _Look, status: Status, reason: str, count: int) -> SearchResult:
+    def _result(
+        self, linearized: _Linearized, status: Status, reason: str, count: int
+    ) -> SearchResult:
         """How the search ended; the point is filled in with the family."""
-        value = float(look.condensed.values.sum())
-        return SearchResult(look.state.value, value, count, reason.format(count), status)
+        value = float(linearized.condensed.values.sum())
+        return SearchResult(linearized.state.value, value, count, reason.format(count), status)
 
     # --- the fit
 
-    def objective(self, state: _State, family: Family, look: _Look | None = None) -> RunRows:
+    def objective(
+        self, state: _State, family: Family, linearized: _Linearized | None = None
+    ) -> RunRows:
         """The log-likelihood around a state."""
-        look = look or self.look(state)
-        law = look.state.law
+        linearized = linearized or self.linearize(state)
+        noise = linearized.state.noise
         whitened = None
         if self.given:
-            whitened = whiten(look.columns, law)[~look.columns.first, :, -1]
+            whitened = whiten(linearized.columns, noise)[~linearized.columns.first, :, -1]
         group = _groups(state.windows)
         centre = state.value if state.own is None else state.own
-        own = RunRows(family, look.condensed, look.columns, group, centre, law.variance, whitened)
-        if law.memory.any():
-            slopes, less = profiled(look.columns, whiten(look.columns, law), look.condensed)
-            own.unexplained = (-less * law.sd, slopes * law.sd[:, None])
+        own = RunRows(
+            family,
+            linearized.condensed,
+            linearized.columns,
+            group,
+            centre,
+            noise.variance,
+            whitened,
+        )
+        if noise.memory.any():
+            slopes, less = profiled(
+                linearized.columns, whiten(linearized.columns, noise), linearized.condensed
+            )
+            own.unexplained = (-less * noise.sd, slopes * noise.sd[:, None])
         targets = self.observed.simulator.targets(state.windows.segments)
         own.predicted = own.predicted + targets[:, self.observed.measured]
         return own
 
     def with_spread(
-        self, run: Run, look: _Look, found: SearchResult, family: Family
-    ) -> tuple[_Look, SearchResult]:
+        self, run: Run, linearized: _Linearized, found: SearchResult, family: Family
+    ) -> tuple[_Linearized, SearchResult]:
         """The same, with every group linearized at its own parameters, where groups differ."""
-        for turn in range(self.settings.spread_rounds):
-            objective = self.objective(look.state, family, look)
-            phi = self._member(objective, family, look)
-            varied = family.sd(phi[: len(family.unknowns)]) > self.errors(look)
+        for turn in range(self.settings.spread_iterations):
+            objective = self.objective(linearized.state, family, linearized)
+            phi = self._member(objective, family, linearized)
+            varied = family.sd(phi[: len(family.unknowns)]) > self.errors(linearized)
             if turn == 0 and not varied.any():
                 break
-            group = _groups(look.state.windows)
+            group = _groups(linearized.state.windows)
             modes = objective.modes(phi)
             step = modes - objective.centre
             own = np.exp(modes) if family.logarithmic else modes
             space = self.simulator.space
             own = np.clip(own, space.low, space.high)
-            before = look.state.value if look.state.own is None else look.state.own
-            starts = look.state.starts + self._start_steps(look, (own - before)[group])
+            before = (
+                linearized.state.value if linearized.state.own is None else linearized.state.own
+            )
+            starts = linearized.state.starts + self._start_steps(linearized, (own - before)[group])
             within = self.prior.within
             mean = np.clip(family.mean(phi[: len(family.unknowns)]), within.low, within.high)
-            state = replace(look.state, value=mean, own=own, starts=starts)
+            state = replace(linearized.state, value=mean, own=own, starts=starts)
             try:
-                look = self.with_noise(self._counted(run, state), choose=turn == 0)
+                linearized = self.with_noise(self._counted(run, state), choose=turn == 0)
             except SimulationFailed:
                 break
             known = np.linalg.inv(objective.information + np.diag(self.width**-2.0))
             error = np.sqrt(np.diagonal(known, axis1=1, axis2=2))
             if (np.abs(step) < self.settings.settled_mode * error).all():
                 count = found.evaluations + turn + 1
-                return look, self._result(look, Status.CONVERGED, SETTLED_APART, count)
-        return look, found
+                return linearized, self._result(linearized, Status.CONVERGED, SETTLED_APART, count)
+        return linearized, found
 
-    def fit(self, problem: Problem, family: Family, look: _Look, found: SearchResult) -> RunFit:
+    def fit(
+        self, problem: Problem, family: Family, linearized: _Linearized, found: SearchResult
+    ) -> RunFit:
         """The maximum in the family, and the problem as it was compared."""
-        objective = self.objective(look.state, family, look)
-        phi = self._member(objective, family, look)
+        objective = self.objective(linearized.state, family, linearized)
+        phi = self._member(objective, family, linearized)
         value = objective(phi)
         found = replace(found, point=phi, value=value)
-        windows = look.state.windows
+        windows = linearized.state.windows
         opening = np.flatnonzero(windows.depth == 0)
         rows = windows.segments.steps[opening, 0]
         simulator = FoundStarts(
             self.observed,
             rows,
-            look.state.starts[opening],
-            look.condensed.start_by_value,
-            look.state.value if look.state.own is None else look.state.own[_groups(windows)],
+            linearized.state.starts[opening],
+            linearized.condensed.start_by_value,
+            linearized.state.value
+            if linearized.state.own is None
+            else linearized.state.own[_groups(windows)],
         )
         compared = replace(
             problem,
@@ -551,34 +585,36 @@ class _Search:
             settings={},
         )
         variance = np.zeros(len(self.observed.measured))
-        variance[self.observed.measured] = look.state.law.variance
+        variance[self.observed.measured] = linearized.state.noise.variance
         names = [signal.name for signal in problem.simulator.signals]
         for name, sd in problem.estimated.items():
             variance[names.index(name)] = sd**2
         epsilon = variance[: len(names)]
-        stuck = self._stuck(look)
-        doubts = self._doubts(look)
-        details = self._details(look)
+        stuck = self._stuck(linearized)
+        warnings = self._warnings(linearized)
+        details = self._details(linearized)
         details["trajectory"]["stuck_windows"] = stuck
-        reached = stuck <= self.settings.most_stuck
+        reached = stuck <= self.settings.largest_stuck
         if not reached:
-            doubts = (*doubts, NOT_REACHED.format(stuck))
-        return RunFit(compared, objective, found, epsilon, details, doubts, reached)
+            warnings = (*warnings, NOT_REACHED.format(stuck))
+        return RunFit(compared, objective, found, epsilon, details, warnings, reached)
 
-    def _member(self, objective: RunRows, family: Family, look: _Look) -> Array:
+    def _member(self, objective: RunRows, family: Family, linearized: _Linearized) -> Array:
         """Phi of the maximum: without spreads, but for those that gain enough."""
         unknowns = objective.unknowns
         scales = [i for i, name in enumerate(unknowns.names) if name.startswith("scale.")]
-        low = family.phi(look.state.value, np.zeros(len(look.state.value)))
+        low = family.phi(linearized.state.value, np.zeros(len(linearized.state.value)))
         low = np.clip(low, unknowns.low, unknowns.high)
         plain = low
-        if look.state.own is not None:
+        if linearized.state.own is not None:
             plain = self._maximum(objective, scales, low)
         if not scales or len(objective.scores) < 2:
             return plain
         start = plain.copy()
-        relative = look.state.value if family.logarithmic else np.ones(len(look.state.value))
-        first = np.maximum(3 * self.errors(look), self._scatter(objective)) / relative
+        relative = (
+            linearized.state.value if family.logarithmic else np.ones(len(linearized.state.value))
+        )
+        first = np.maximum(3 * self.errors(linearized), self._scatter(objective)) / relative
         start[scales] = np.clip(first, unknowns.low[scales], unknowns.high[scales])
         found = self._maximum(objective, [], start)
         value = local_with_prior(objective, self.prior)
@@ -603,14 +639,14 @@ class _Search:
             return np.zeros(objective.centre.shape[1])
         return np.asarray(objective.centre.std(axis=0))
 
-    def _stuck(self, look: _Look) -> float:
-        """The share of windows whose residuals are larger than any noise of the law leaves."""
-        law = look.state.law
-        columns = look.columns
-        residual = whiten(columns, law)[:, :, -1]
-        finite = np.isfinite(law.degrees)
+    def _stuck(self, linearized: _Linearized) -> float:
+        """The fraction of windows whose residuals are larger than the noise explains."""
+        noise = linearized.state.noise
+        columns = linearized.columns
+        residual = whiten(columns, noise)[:, :, -1]
+        finite = np.isfinite(noise.degrees)
         tails = np.clip(
-            student_below(residual, np.where(finite, law.degrees, 5.0)), 1e-15, 1 - 1e-15
+            student_below(residual, np.where(finite, noise.degrees, 5.0)), 1e-15, 1 - 1e-15
         )
         scores = np.where(finite, -normal_of_tail(tails), residual)
         squares = np.where(columns.valid, scores**2, 0.0).sum(axis=1)
@@ -620,25 +656,25 @@ class _Search:
         unlikely = chi2_tail(total, np.maximum(count, 1)) < self.settings.stuck_level
         return float(np.mean(far & unlikely))
 
-    def _doubts(self, look: _Look) -> tuple[str, ...]:
+    def _warnings(self, linearized: _Linearized) -> tuple[str, ...]:
         """A sentence where runs stray from the measurements further than noise explains.
 
         Noise is what windows with a start of their own leave, which hardly see a wrong model.
         """
-        windows = look.state.windows
+        windows = linearized.state.windows
         if self.given or len(windows.segments) < 2 * len(windows.pieces.spans):
             return ()
-        columns = look.columns.unlinked()
+        columns = linearized.columns.unlinked()
         estimates = RestrictedEstimates(columns, self.start_prior, self.noise_settings)
-        law = look.state.law
+        noise = linearized.state.noise
         if self.degrees is None:
-            within = estimates.choose(white(law.news))
+            within = estimates.choose(white(noise.news))
         else:
-            within = estimates.levels(white(law.news, self.degrees))
-        ratio = law.news / within.news
+            within = estimates.levels(white(noise.news, self.degrees))
+        ratio = noise.news / within.news
         z = np.log(ratio) * np.sqrt(2 * columns.valid.sum(axis=0))
         worst = int(np.argmax(ratio))
-        if ratio[worst] <= self.settings.astray or z[worst] <= self.settings.astray_z:
+        if ratio[worst] <= self.settings.excess or z[worst] <= self.settings.excess_z:
             return ()
         name = self.observed.simulator.signals[np.flatnonzero(self.observed.measured)[worst]].name
         return (
@@ -646,17 +682,17 @@ class _Search:
             f" as the noise that it has within {windows.length} steps",
         )
 
-    def _details(self, look: _Look) -> dict[str, Any]:
+    def _details(self, linearized: _Linearized) -> dict[str, Any]:
         """What fit.json says of runs, starts and noise."""
-        law = look.state.law
-        windows = look.state.windows
+        noise = linearized.state.noise
+        windows = linearized.state.windows
         signals = np.array(self.observed.simulator.signals, dtype=object)[self.observed.measured]
-        noise = {}
+        by_signal = {}
         for j, signal in enumerate(signals):
-            degrees = float(law.degrees[j])
-            noise[signal.name] = {
-                "sd": float(law.sd[j]),
-                "correlation": float(law.memory[j]),
+            degrees = float(noise.degrees[j])
+            by_signal[signal.name] = {
+                "sd": float(noise.sd[j]),
+                "correlation": float(noise.memory[j]),
                 "degrees": degrees if np.isfinite(degrees) else None,
                 "unit": signal.unit,
             }
@@ -665,7 +701,7 @@ class _Search:
                 "runs": len(windows.runs.spans),
                 "pieces": len(windows.pieces.spans),
                 "window": windows.length,
-                "noise": noise,
+                "noise": by_signal,
             }
         }
 

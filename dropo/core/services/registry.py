@@ -289,7 +289,18 @@ def find(kind: str, name: str) -> Any:
 
 
 def service(name: str) -> Any:
-    """Import the function of a higher room that has this `name` in `SERVICES`."""
+    """Import a function of a higher room that lower ones call by name.
+
+    Parameters
+    ----------
+    name : str
+        A name in `SERVICES`.
+
+    Returns
+    -------
+    Any
+        The function.
+    """
     return _imported(SERVICES[name])
 
 
