@@ -170,7 +170,7 @@ def motions_of(
     Raises
     ------
     BadArgument
-        If the data are too few for the shortest windows.
+        If the data are too few for the shortest windows, or none are held out.
 
     References
     ----------

@@ -542,6 +542,10 @@ def every_magnitude_counts(
         As in `gain_of`.
     settings : HiddenEffectSettings
         What an effect must gain.
+
+    Returns
+    -------
+    bool
     """
     instance, magnitudes = one
     if len(magnitudes) == 1:

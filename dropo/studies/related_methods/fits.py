@@ -99,6 +99,11 @@ def item(table: str, seed: int, size: Size, **more: Any) -> Item:
         How large the study is.
     **more
         What else the task takes, such as `method`.
+
+    Returns
+    -------
+    dict
+        Plain values, which name the task in the list of finished ones.
     """
     return {"table": table, "seed": seed, "size": asdict(size), **more}
 
@@ -268,6 +273,10 @@ def estimator(method: str, target: TargetRobot, size: Size) -> Estimator:
         Where interactive methods collect data and evaluate.
     size : Size
         Settings of the methods.
+
+    Returns
+    -------
+    Estimator
     """
     settings = size.settings.get(method, {})
     if method == "simopt":

@@ -267,6 +267,12 @@ def difference(one: Array, other: Array) -> Difference:
     ----------
     one, other : (bounds, seeds) arrays
         Returns, which are averaged over bounds and paired by seeds.
+
+    Returns
+    -------
+    Difference
+        The mean over n seeds, half its 95 % interval and the p-value of Student's t with n - 1
+        degrees of freedom; NaN of a single seed.
     """
     apart = one.mean(axis=0) - other.mean(axis=0)
     degrees = len(apart) - 1
@@ -281,7 +287,18 @@ def difference(one: Array, other: Array) -> Difference:
 
 
 def interval(values: Array) -> tuple[float, float]:
-    """The mean of values (n,) and half its 95 % interval by Student's t; NaN of a single value."""
+    """Compute the mean of values and half its 95 % interval, by Student's t.
+
+    Parameters
+    ----------
+    values : (n,) array
+        Independent values, of any unit.
+
+    Returns
+    -------
+    mean, half : float
+        In the same unit; half is NaN of a single value.
+    """
     n = len(values)
     half = stats.t.ppf(0.975, n - 1) * values.std(ddof=1) / np.sqrt(n) if n > 1 else np.nan
     return float(values.mean()), float(half)

@@ -54,8 +54,23 @@ ALGORITHM = ARS(updates=300, directions=16, best=8, step=0.02, size=0.03, trials
 
 
 def run(model: mujoco.MjModel, policy: LinearPolicy, n: int, rng: Generator) -> Rollouts:
-    """n trajectories from noisy starts; the policy's weights may be (n, 3, 11), one policy a
-    trajectory.
+    """Simulate trajectories from noisy starts.
+
+    Parameters
+    ----------
+    model : mujoco.MjModel
+        The hopper.
+    policy : LinearPolicy
+        Its weights may be (n, 3, 11), one policy a trajectory.
+    n : int
+        Number of trajectories.
+    rng : numpy.random.Generator
+        What starts and the noise on the actions are drawn from.
+
+    Returns
+    -------
+    Rollouts
+        Of n trajectories, each until the hopper falls or the settings' number of steps is reached.
     """
     noise = rng.standard_normal((n, SETTINGS.steps, model.nu))
     weights = np.broadcast_to(policy.weights, (n, 3, 11))
@@ -68,8 +83,19 @@ def run(model: mujoco.MjModel, policy: LinearPolicy, n: int, rng: Generator) -> 
 
 
 def returns(model: mujoco.MjModel, runs: Rollouts) -> Array:
-    """(n,) Gymnasium's return without the bonus for being alive: distance per second, less 0.001 of
-    the squared actions.
+    """Compute Gymnasium's return without the bonus for being alive.
+
+    Parameters
+    ----------
+    model : mujoco.MjModel
+        The hopper.
+    runs : Rollouts
+        n trajectories.
+
+    Returns
+    -------
+    (n,) array
+        Distance in the units of a control step, less 0.001 of the squared actions.
     """
     ends = runs.states[np.arange(len(runs.lengths)), runs.lengths, 0]
     speed = (ends - runs.states[:, 0, 0]) / (FRAME_SKIP * model.opt.timestep)
@@ -78,7 +104,25 @@ def returns(model: mujoco.MjModel, runs: Rollouts) -> Array:
 
 
 def search(model: mujoco.MjModel, rng: Generator) -> Iterator[LinearPolicy]:
-    """The policy after each update, for ever."""
+    """Search for a policy by augmented random search, without end.
+
+    Parameters
+    ----------
+    model : mujoco.MjModel
+        The hopper.
+    rng : numpy.random.Generator
+        What random numbers come from.
+
+    Yields
+    ------
+    LinearPolicy
+        The policy after each update.
+
+    References
+    ----------
+    Mania, Guy and Recht, Simple random search of static linear policies is competitive for
+    reinforcement learning, NeurIPS 2018.
+    """
     state = Search.new(3, 11)
     while True:
         tried, both = ALGORITHM.perturb(state, rng)
@@ -91,7 +135,18 @@ def search(model: mujoco.MjModel, rng: Generator) -> Iterator[LinearPolicy]:
 
 
 def rounded(policy: LinearPolicy) -> LinearPolicy:
-    """The policy to six digits, as its JSON keeps it."""
+    """Round a policy to six digits, as its JSON keeps it.
+
+    Parameters
+    ----------
+    policy : LinearPolicy
+        The policy.
+
+    Returns
+    -------
+    LinearPolicy
+        With rounded weights, means and deviations.
+    """
     six = np.vectorize(lambda value: float(f"{value:.6g}"), otypes=[float])
     return LinearPolicy(
         six(policy.weights),
@@ -102,7 +157,30 @@ def rounded(policy: LinearPolicy) -> LinearPolicy:
 
 
 def found(model: mujoco.MjModel, seed: int, updates: int) -> tuple[LinearPolicy, dict[str, float]]:
-    """The first semi-converged policy, else the last, and its figures; prints them as it goes."""
+    """Find the first semi-converged policy, else the last; prints its figures as it goes.
+
+    Parameters
+    ----------
+    model : mujoco.MjModel
+        The hopper.
+    seed : int
+        Seed of the search and of the trials.
+    updates : int
+        Largest number of updates.
+
+    Returns
+    -------
+    policy : LinearPolicy
+        The policy, rounded.
+    figures : dict of str to float
+        The seed, the number of updates, the mean return of the trials, and the fraction of them
+        that do not fall.
+
+    Raises
+    ------
+    AssertionError
+        If the search ends, which it never does.
+    """
     search_rng, trial_rng = np.random.default_rng(seed).spawn(2)
     for update, policy in enumerate(search(model, search_rng), 1):
         if update % ALGORITHM.every and update < updates:
@@ -121,7 +199,20 @@ def found(model: mujoco.MjModel, seed: int, updates: int) -> tuple[LinearPolicy,
 
 
 def as_json(policy: LinearPolicy, figures: dict[str, float]) -> str:
-    """One line a key."""
+    """Write a policy with its figures as JSON, one line a key.
+
+    Parameters
+    ----------
+    policy : LinearPolicy
+        The policy.
+    figures : dict of str to float
+        How it was found, which stands under "found".
+
+    Returns
+    -------
+    str
+        The text, which ends with a new line.
+    """
     values = {name: np.asarray(value).tolist() for name, value in asdict(policy).items()}
     values["found"] = figures
     lines = [f"  {json.dumps(name)}: {json.dumps(value)}" for name, value in values.items()]

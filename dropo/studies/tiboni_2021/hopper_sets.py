@@ -144,6 +144,11 @@ def every(stride: int, problem: Problem) -> Problem:
         Every `stride`-th transition stays.
     problem : Problem
         The problem.
+
+    Returns
+    -------
+    Problem
+        The same with fewer transitions.
     """
     rows = np.arange(0, len(problem.trajectories), stride)
     return replace(problem, trajectories=problem.trajectories.rows(rows), everything=None)

@@ -67,6 +67,15 @@ def estimator(method: str, droid: int) -> Estimator:
         One of `FITTED`.
     droid : int
         Evaluations of DROID.
+
+    Returns
+    -------
+    Estimator
+
+    Raises
+    ------
+    KeyError
+        If the table has no such method.
     """
     methods: dict[str, Estimator] = {
         PUBLISHED: DROPO(epsilon=EPSILONS[0]),
