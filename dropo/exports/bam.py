@@ -19,9 +19,8 @@ REFERENCE_SPEED = 0.5
 
 
 def bam(subject: Subject) -> Written:
-    """Write a parameter file of BAM for each servo.
-
-    A file is of model m1, or of m2 where the servo's friction falls with speed.
+    """Parameter files of BAM, one for each servo: model m1, or m2 where its friction falls with
+    speed.
 
     Parameters
     ----------

@@ -44,7 +44,7 @@ Terms draw once for each environment. Written by dropo {version} from {name!r}.
 
 
 def isaac_lab(subject: Subject) -> Written:
-    """Write event terms and actuator settings of Isaac Lab as YAML.
+    """Event terms and actuator settings of Isaac Lab as YAML.
 
     Parameters
     ----------

@@ -120,7 +120,7 @@ class Term:
 
 
 def mjlab(subject: Subject) -> Written:
-    """Write event terms of mjlab, one a parameter, by its functions for domain randomization.
+    """Event terms of mjlab, one for each parameter, with its functions for domain randomization.
 
     Parameters
     ----------

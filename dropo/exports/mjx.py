@@ -130,7 +130,7 @@ def domain_randomize(model, rng):
 
 
 def mjx(subject: Subject) -> Written:
-    """Write a function domain_randomize(model, rng) for MuJoCo Playground and for batches in MJX.
+    """A function domain_randomize(model, rng) for MuJoCo Playground, and for batches in MJX.
 
     Parameters
     ----------

@@ -136,7 +136,7 @@ def set_number(model: mujoco.MjModel, field: str, place: tuple[int, ...], number
 
 
 def mujoco_python(subject: Subject) -> Written:
-    """Write plain MJCF at the means, with a Python file that draws parameters and sets them in it.
+    """Plain MJCF at the means, with a Python file that draws parameters and sets them in the model.
 
     The robot with all effects beside the model, such as delays, is in model.py.
 

@@ -62,7 +62,18 @@ class Runs:
     channels: tuple[Channels, ...]
 
     def named(self, beginning: str) -> "Runs":
-        """The runs whose names start with `beginning`."""
+        """Select the runs whose names begin alike.
+
+        Parameters
+        ----------
+        beginning : str
+            What the names begin with.
+
+        Returns
+        -------
+        Runs
+            In the same order; empty where there are none.
+        """
         chosen = [i for i, name in enumerate(self.names) if name.startswith(beginning)]
         return Runs(tuple(self.names[i] for i in chosen), tuple(self.channels[i] for i in chosen))
 

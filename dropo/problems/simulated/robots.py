@@ -191,6 +191,15 @@ def simulated_robot(
         Parameters to declare; the hopper always declares its four masses instead.
     threads : int
         Threads of the simulator; 0 for all cores.
+
+    Returns
+    -------
+    SimulatedRobot
+
+    Raises
+    ------
+    KeyError
+        If there is no such robot.
     """
     return ROBOTS[name](parameters, threads)
 

@@ -21,7 +21,7 @@ from numpy.random import Generator
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.atomic_write import write_text
 from dropo.core.services.validation import Array
-from dropo.problems.hopper.data import LinearPolicy, healthy, observe, start_states
+from dropo.problems.hopper.data import HopperPolicy, healthy, observe, start_states
 from dropo.problems.hopper.model import FRAME_SKIP, hopper_model
 from dropo.simulators.mujoco.closed_loop import Rollouts, closed_loop
 from dropo.training.ars import ARS, Search
@@ -53,14 +53,14 @@ SETTINGS = Settings()
 ALGORITHM = ARS(updates=300, directions=16, best=8, step=0.02, size=0.03, trials=100, every=10)
 
 
-def run(model: mujoco.MjModel, policy: LinearPolicy, n: int, rng: Generator) -> Rollouts:
+def run(model: mujoco.MjModel, policy: HopperPolicy, n: int, rng: Generator) -> Rollouts:
     """Simulate trajectories from noisy starts.
 
     Parameters
     ----------
     model : mujoco.MjModel
         The hopper.
-    policy : LinearPolicy
+    policy : HopperPolicy
         Its weights may be (n, 3, 11), one policy a trajectory.
     n : int
         Number of trajectories.
@@ -103,7 +103,7 @@ def returns(model: mujoco.MjModel, runs: Rollouts) -> Array:
     return gains
 
 
-def search(model: mujoco.MjModel, rng: Generator) -> Iterator[LinearPolicy]:
+def search(model: mujoco.MjModel, rng: Generator) -> Iterator[HopperPolicy]:
     """Search for a policy by augmented random search, without end.
 
     Parameters
@@ -115,7 +115,7 @@ def search(model: mujoco.MjModel, rng: Generator) -> Iterator[LinearPolicy]:
 
     Yields
     ------
-    LinearPolicy
+    HopperPolicy
         The policy after each update.
 
     References
@@ -126,29 +126,29 @@ def search(model: mujoco.MjModel, rng: Generator) -> Iterator[LinearPolicy]:
     state = Search.new(3, 11)
     while True:
         tried, both = ALGORITHM.perturb(state, rng)
-        policies = LinearPolicy(both, state.mean, state.deviation, SETTINGS.action_noise)
+        policies = HopperPolicy(both, state.mean, state.deviation, SETTINGS.action_noise)
         runs = run(model, policies, 2 * ALGORITHM.directions, rng)
         ALGORITHM.improve(state, tried, returns(model, runs).reshape(2, ALGORITHM.directions))
         visited = runs.states[:, :-1].reshape(-1, 12)
         state.add_observations(observe(visited[np.isfinite(visited).all(axis=1)]))
-        yield LinearPolicy(state.weights, state.mean, state.deviation, SETTINGS.action_noise)
+        yield HopperPolicy(state.weights, state.mean, state.deviation, SETTINGS.action_noise)
 
 
-def rounded(policy: LinearPolicy) -> LinearPolicy:
+def rounded(policy: HopperPolicy) -> HopperPolicy:
     """Round a policy to six digits, as its JSON keeps it.
 
     Parameters
     ----------
-    policy : LinearPolicy
+    policy : HopperPolicy
         The policy.
 
     Returns
     -------
-    LinearPolicy
+    HopperPolicy
         With rounded weights, means and deviations.
     """
     six = np.vectorize(lambda value: float(f"{value:.6g}"), otypes=[float])
-    return LinearPolicy(
+    return HopperPolicy(
         six(policy.weights),
         six(policy.mean),
         six(policy.deviation),
@@ -156,7 +156,7 @@ def rounded(policy: LinearPolicy) -> LinearPolicy:
     )
 
 
-def found(model: mujoco.MjModel, seed: int, updates: int) -> tuple[LinearPolicy, dict[str, float]]:
+def found(model: mujoco.MjModel, seed: int, updates: int) -> tuple[HopperPolicy, dict[str, float]]:
     """Find the first semi-converged policy, else the last; prints its figures as it goes.
 
     Parameters
@@ -170,7 +170,7 @@ def found(model: mujoco.MjModel, seed: int, updates: int) -> tuple[LinearPolicy,
 
     Returns
     -------
-    policy : LinearPolicy
+    policy : HopperPolicy
         The policy, rounded.
     figures : dict of str to float
         The seed, the number of updates, the mean return of the trials, and the fraction of them
@@ -198,12 +198,12 @@ def found(model: mujoco.MjModel, seed: int, updates: int) -> tuple[LinearPolicy,
     raise AssertionError("the search has no end")
 
 
-def as_json(policy: LinearPolicy, figures: dict[str, float]) -> str:
+def as_json(policy: HopperPolicy, figures: dict[str, float]) -> str:
     """Write a policy with its figures as JSON, one line a key.
 
     Parameters
     ----------
-    policy : LinearPolicy
+    policy : HopperPolicy
         The policy.
     figures : dict of str to float
         How it was found, which stands under "found".
