@@ -16,7 +16,25 @@ WAIT = 20
 
 @contextmanager
 def dask(place: str) -> Iterator[Executor]:
-    """A Dask scheduler, as in dask://host:8786; without an address, processes of this machine."""
+    """A Dask scheduler, as in dask://host:8786; without an address, processes of this machine.
+
+    Parameters
+    ----------
+    place : str
+        The scheduler's address and port; empty for processes of this machine, one for each core.
+
+    Yields
+    ------
+    concurrent.futures.Executor
+        Open until the block ends.
+
+    Raises
+    ------
+    MissingPackage
+        If distributed is not installed (extra `dask`).
+    DropoError
+        If no scheduler answers there.
+    """
     need("distributed", extra="dask", caller="The executor 'dask'")
     distributed: Any = importlib.import_module("distributed")
     with ExitStack() as opened:
@@ -35,7 +53,25 @@ def dask(place: str) -> Iterator[Executor]:
 
 @contextmanager
 def ray(place: str) -> Iterator[Executor]:
-    """A Ray cluster, as in ray://host:10001; without an address, processes of this machine."""
+    """A Ray cluster, as in ray://host:10001; without an address, processes of this machine.
+
+    Parameters
+    ----------
+    place : str
+        The cluster's address and port; empty for processes of this machine.
+
+    Yields
+    ------
+    concurrent.futures.Executor
+        Open until the block ends.
+
+    Raises
+    ------
+    MissingPackage
+        If ray is not installed (extra `ray`).
+    DropoError
+        If no cluster answers there.
+    """
     need("ray", extra="ray", caller="The executor 'ray'")
     import ray as package
 
@@ -64,7 +100,20 @@ class RayExecutor(Executor):
         self._max_workers = int(package.cluster_resources().get("CPU", 1))
 
     def submit(self, call: Callable[..., Any], /, *args: Any, **options: Any) -> Future[Any]:
-        """Run a call on a worker of the cluster."""
+        """Run a call on a worker of the cluster.
+
+        Parameters
+        ----------
+        call : callable
+            What is called; it, its arguments and its answer can be pickled.
+        *args, **options
+            What it is called with.
+
+        Returns
+        -------
+        concurrent.futures.Future
+            Of the call's answer.
+        """
         future: Future[Any] = self._task.remote(call, args, options).future()
         return future
 

@@ -14,14 +14,46 @@ from dropo.executors.restarting import Restarting
 
 @contextmanager
 def threads(place: str) -> Iterator[Executor]:
-    """Threads of this process; a number behind the name, or one for each core."""
+    """Threads of this process; a number behind the name, or one for each core.
+
+    Parameters
+    ----------
+    place : str
+        Number of threads; empty for one for each core.
+
+    Yields
+    ------
+    concurrent.futures.Executor
+        Open until the block ends.
+
+    Raises
+    ------
+    BadArgument
+        If what stands behind the name is no number of at least 1.
+    """
     with ThreadPoolExecutor(_number(place, "threads"), thread_name_prefix="executor") as pool:
         yield pool
 
 
 @contextmanager
 def processes(place: str) -> Iterator[Executor]:
-    """Processes of this machine; a number behind the name, or one for each core."""
+    """Processes of this machine; a number behind the name, or one for each core.
+
+    Parameters
+    ----------
+    place : str
+        Number of processes; empty for one for each core.
+
+    Yields
+    ------
+    concurrent.futures.Executor
+        Open until the block ends.
+
+    Raises
+    ------
+    BadArgument
+        If what stands behind the name is no number of at least 1.
+    """
     number = _number(place, "processes")
     fresh = multiprocessing.get_context("spawn")
     with _closed(partial(ProcessPoolExecutor, number, mp_context=fresh)) as pool:
@@ -30,7 +62,25 @@ def processes(place: str) -> Iterator[Executor]:
 
 @contextmanager
 def joblib(place: str) -> Iterator[Executor]:
-    """Processes of joblib's pool, loky; a number behind the name, or one for each core."""
+    """Processes of joblib's pool, loky; a number behind the name, or one for each core.
+
+    Parameters
+    ----------
+    place : str
+        Number of processes; empty for one for each core.
+
+    Yields
+    ------
+    concurrent.futures.Executor
+        Open until the block ends.
+
+    Raises
+    ------
+    MissingPackage
+        If joblib is not installed (extra `joblib`).
+    BadArgument
+        If what stands behind the name is no number of at least 1.
+    """
     need("joblib", extra="joblib", caller="The executor 'joblib'")
     from joblib.externals.loky import ProcessPoolExecutor as Loky
 

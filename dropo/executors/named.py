@@ -61,7 +61,20 @@ class WithPlugins(Executor):
         self._max_workers = getattr(executor, "_max_workers", 0)
 
     def submit(self, call: Callable[..., Any], /, *args: Any, **options: Any) -> Future[Any]:
-        """Run a call on a worker; what it needs of plug-ins is there before it is unpickled."""
+        """Run a call on a worker; what it needs of plug-ins is there before it is unpickled.
+
+        Parameters
+        ----------
+        call : callable
+            What is called; it, its arguments and its answer can be pickled.
+        *args, **options
+            What it is called with.
+
+        Returns
+        -------
+        concurrent.futures.Future
+            Of the call's answer.
+        """
         files = {str(path): path.read_bytes() for path in loaded_files()}
         return self.executor.submit(_run, files, pickle.dumps((call, args, options)))
 

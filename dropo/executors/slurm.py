@@ -34,7 +34,30 @@ WORDS = {"account": "slurm_account", "qos": "slurm_qos", "constraint": "slurm_co
 
 @contextmanager
 def slurm(place: str) -> Iterator[Executor]:
-    """Jobs of SLURM, as in slurm:PARTITION,time=60,mem=4,cpus=1,jobs=256 (minutes, GB, at once)."""
+    """Jobs of SLURM, as in slurm:PARTITION,time=60,mem=4,cpus=1,jobs=256 (minutes, GB, at once).
+
+    Parameters
+    ----------
+    place : str
+        The partition, then settings of jobs: time [min], mem [GB], cpus, and jobs: how many at
+        once.
+
+    Yields
+    ------
+    concurrent.futures.Executor
+        Open until the block ends; jobs that are left then are cancelled.
+
+    Raises
+    ------
+    MissingPackage
+        If submitit is not installed (extra `slurm`).
+    BadArgument
+        If there is no partition, or a setting of jobs is not of its kind.
+    UnknownName
+        If there is no such setting; the message gives the nearest.
+    DropoError
+        If there is no SLURM here.
+    """
     need("submitit", extra="slurm", caller="The executor 'slurm'")
     import submitit
 
@@ -82,13 +105,34 @@ class SlurmExecutor(Executor):
         self._keeper.start()
 
     def submit(self, call: Callable[..., Any], /, *args: Any, **options: Any) -> Future[Any]:
-        """Run a call in a job of its own."""
+        """Run a call in a job of its own.
+
+        Parameters
+        ----------
+        call : callable
+            What is called; it, its arguments and its answer can be pickled.
+        *args, **options
+            What it is called with.
+
+        Returns
+        -------
+        concurrent.futures.Future
+            Of the call's answer.
+        """
         answer: Future[Any] = Future()
         self._waiting.put(Call(answer, call, args, options))
         return answer
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Stop looking after jobs; with `cancel_futures`, SLURM cancels those that are left."""
+        """Stop looking after jobs.
+
+        Parameters
+        ----------
+        wait : bool
+            Without effect: jobs are always waited for, unless they are cancelled.
+        cancel_futures : bool
+            Whether SLURM cancels the jobs that are left.
+        """
         if not cancel_futures:
             while self._running or not self._waiting.empty():
                 time.sleep(GATHER)

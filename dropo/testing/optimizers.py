@@ -38,7 +38,17 @@ class Sphere:
         return float(np.sum((point - CENTRE) ** 2))
 
     def gradient(self, point: Array) -> Array:
-        """Returns the gradient (m,) at a point (m,)."""
+        """Compute the gradient of the squared distance to the centre.
+
+        Parameters
+        ----------
+        point : (m,) array
+            Where.
+
+        Returns
+        -------
+        (m,) array
+        """
         return np.asarray(2 * (point - CENTRE))
 
 
@@ -48,7 +58,17 @@ class Cost(Protocol):
     def __call__(self, point: Array) -> float: ...
 
     def gradient(self, point: Array) -> Array:
-        """Returns the gradient (m,) at a point (m,)."""
+        """Compute the gradient of the cost.
+
+        Parameters
+        ----------
+        point : (m,) array
+            Where.
+
+        Returns
+        -------
+        (m,) array
+        """
 
 
 @contextmanager
@@ -64,6 +84,10 @@ def no_global_stream(name: str) -> Iterator[None]:
     ------
     AssertionError
         If the block draws from the stream or seeds it.
+
+    Yields
+    ------
+    None
     """
     original = np.random.get_state()  # noqa: NPY002
     # a state that no plug-in arrives at by seeding the stream the same way twice

@@ -187,7 +187,18 @@ class BatchedEnv(ABC):
         return outcome
 
     def describe(self, i: int) -> dict[str, float]:
-        """Returns the parameters of environment i's present episode by name."""
+        """Name the parameters of one environment's present episode.
+
+        Parameters
+        ----------
+        i : int
+            The environment.
+
+        Returns
+        -------
+        dict of str to float
+            By parameter, in its unit.
+        """
         return dict(zip(self.distribution.space.names, self.draws[i].tolist(), strict=True))
 
     def close(self) -> None:  # noqa: B027 - most hold nothing

@@ -314,7 +314,24 @@ class RandomizedEnv(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Recor
         return _reset_one(self.batched_env, seed)
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Makes a step with an `action` (q,), as `gymnasium.Env.step`; `info` may hold "broken"."""
+        """Make a control step, as `gymnasium.Env.step`.
+
+        Parameters
+        ----------
+        action : (q,) array_like
+            The action, in the units of the action space.
+
+        Returns
+        -------
+        observation : array
+            The next observation.
+        reward : float
+            The step's reward.
+        terminated, truncated : bool
+            Whether the episode has ended, or was cut off.
+        info : dict
+            With "broken" where the simulation broke.
+        """
         return _step_one(self.batched_env, action)
 
 
@@ -359,7 +376,24 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         return _reset_one(self.batched_env, seed)
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Makes a step with an `action` (q,), as `gymnasium.Env.step`; `info` may hold "broken"."""
+        """Make a control step, as `gymnasium.Env.step`.
+
+        Parameters
+        ----------
+        action : (q,) array_like
+            The action, in the units of the action space.
+
+        Returns
+        -------
+        observation : array
+            The next observation.
+        reward : float
+            The step's reward.
+        terminated, truncated : bool
+            Whether the episode has ended, or was cut off.
+        info : dict
+            With "broken" where the simulation broke.
+        """
         return _step_one(self.batched_env, action)
 
 
@@ -450,7 +484,26 @@ class RandomizedVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         return self._observations.copy(), {"parameters": self._parameters()}
 
     def step(self, actions: Any) -> tuple[Array, Array, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Makes a step with all actions (count, q), as `gymnasium.vector.VectorEnv.step`."""
+        """Make a control step of all environments, as `gymnasium.vector.VectorEnv.step`.
+
+        An environment whose episode ended in the step before is reset instead.
+
+        Parameters
+        ----------
+        actions : (count, q) array_like
+            An action for each environment.
+
+        Returns
+        -------
+        observations : (count, o) array
+            The next observations.
+        rewards : (count,) array
+            Rewards; 0 where an environment is reset.
+        terminated, truncated : (count,) bool arrays
+            Whether episodes have ended, or were cut off.
+        info : dict
+            The parameters of the present episodes, and which simulations are broken.
+        """
         rewards = np.zeros(self.num_envs)
         terminated = np.zeros(self.num_envs, dtype=bool)
         truncated = np.zeros(self.num_envs, dtype=bool)
@@ -477,5 +530,11 @@ class RandomizedVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         return dict(zip(names, self.batched_env.draws.T.copy(), strict=True))
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Closes the environments."""
+        """Close the environments.
+
+        Parameters
+        ----------
+        **kwargs
+            Without effect.
+        """
         self.batched_env.close()

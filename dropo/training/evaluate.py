@@ -103,7 +103,18 @@ class Compared(Report):
 
 
 def broken(count: int) -> str:
-    """Returns a sentence on the number (`count`) of draws that broke the simulation."""
+    """Say how many draws broke the simulation.
+
+    Parameters
+    ----------
+    count : int
+        The number.
+
+    Returns
+    -------
+    str
+        A sentence without a full stop.
+    """
     return f"{count} draws of the parameters broke the simulation and were drawn again"
 
 

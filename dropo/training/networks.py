@@ -66,7 +66,18 @@ class NetworkPolicy(Policy):
         return np.asarray(actions, dtype=float)
 
     def save(self, path: str | Path) -> Path:
-        """Writes JSON to a `path`, and the network's zip beside it; returns the JSON file."""
+        """Write the policy as JSON, and the network's zip beside it.
+
+        Parameters
+        ----------
+        path : str or Path
+            A .json file, or a folder.
+
+        Returns
+        -------
+        Path
+            The JSON file.
+        """
         scale = None
         if self.mean is not None and self.deviation is not None:
             scale = {"mean": self.mean.tolist(), "deviation": self.deviation.tolist()}

@@ -151,5 +151,18 @@ def rollout_many(batched_env: BatchedEnv, act: Act, seeds: Ints) -> Rollout:
 
 
 def draw_seeds(rng: np.random.Generator, n: int) -> Ints:
-    """Returns `n` random seeds of episodes (n,)."""
+    """Draw seeds of episodes.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        What random numbers come from.
+    n : int
+        Number of seeds.
+
+    Returns
+    -------
+    (n,) int array
+        Between 0 and 2^62.
+    """
     return rng.integers(2**62, size=n)

@@ -109,11 +109,33 @@ class Column:
     run: str | None = None
 
     def format_value(self, value: float) -> str:
-        """Write a number of the column with its unit."""
+        """Write a number of the column with its unit.
+
+        Parameters
+        ----------
+        value : float
+            The number.
+
+        Returns
+        -------
+        str
+            With six digits.
+        """
         return f"{value:.6g} {self.unit}".strip()
 
     def format_place(self, i: int) -> str:
-        """Say where the i-th number stands."""
+        """Say where one of the numbers stands.
+
+        Parameters
+        ----------
+        i : int
+            Index of the number in the column.
+
+        Returns
+        -------
+        str
+            Its row and time [s].
+        """
         return f"row {self.rows[i]} at {self.time[i]:.6g} s"
 
     def make_finding(self, level: Level, i: int, sentence: str, advice: str) -> Finding:
@@ -180,7 +202,18 @@ def check_motion(column: Column, settings: ColumnSettings = DEFAULTS) -> Iterato
 
 
 def is_still(column: Column) -> bool:
-    """Whether all of several numbers are the same."""
+    """Tell whether all of several numbers are the same.
+
+    Parameters
+    ----------
+    column : Column
+        The numbers.
+
+    Returns
+    -------
+    bool
+        False for a single number.
+    """
     return len(column.values) > 1 and bool((column.values == column.values[0]).all())
 
 

@@ -203,11 +203,37 @@ class StateSpaceModel:
         return np.clip(wanted, minimum, maximum)
 
     def first_state(self, measured: Array, at: Array) -> Array:
-        """Return a trajectory's first state (p,): as measured, or else where it is linearized."""
+        """Give the first state of a trajectory.
+
+        Parameters
+        ----------
+        measured : (p,) array
+            The first measured state.
+        at : (p,) array
+            Where the model is linearized.
+
+        Returns
+        -------
+        (p,) array
+            As measured, or where a signal is not measured as in `at`.
+        """
         return np.where(self.measured, measured, at)
 
     def first_covariance(self, states: Array, noise: Array) -> Array:
-        """Return the covariance (p, p) of a first state: wide where it was not measured."""
+        """Give the covariance of a trajectory's first state.
+
+        Parameters
+        ----------
+        states : (M, p) array
+            States of all trajectories, whose spread stands for what is not measured.
+        noise : (p,) array
+            Variances of the measured signals' noise.
+
+        Returns
+        -------
+        (p, p) array
+            Diagonal, and wide where a signal is not measured.
+        """
         unmeasured_variance = (self.settings.unmeasured_start_sd * _signal_sd(states)) ** 2
         return np.diag(np.where(self.measured, noise, unmeasured_variance))
 
