@@ -40,6 +40,8 @@ class ColumnSettings:
         and any number must be for a mark of what was not measured.
     jumps : int
         How often what moves must jump to a number that is no code.
+    largest : float
+        Largest size of a number: beyond it MuJoCo takes a state for diverged (mjMAXVAL).
     """
 
     stuck_rows: int = 10
@@ -54,11 +56,10 @@ class ColumnSettings:
     far_code: float = 3.0
     far: float = 10.0
     jumps: int = 3
+    largest: float = 1e10
 
 
 DEFAULTS = ColumnSettings()
-LARGEST = 1e10
-"""Beyond it MuJoCo takes a state for one that has diverged (mjMAXVAL)."""
 NINES = (999.0, 9999.0, 99999.0, 999999.0, 999.9, 9999.9, 999.99, 999.25)
 INTEGERS = tuple(float(2**bits - less) for bits in (15, 16, 31, 32) for less in (0, 1))
 CODES = (*NINES, *INTEGERS)
@@ -262,17 +263,17 @@ def check_marks(column: Column, settings: ColumnSettings = DEFAULTS) -> Iterator
     Finding
     """
     values = column.values
-    beyond = np.flatnonzero(np.abs(values) > LARGEST)
+    beyond = np.flatnonzero(np.abs(values) > settings.largest)
     if len(beyond):
         value = column.format_value(values[beyond[0]])
         text = (
-            f"a number beyond {LARGEST:g} is no measurement; of {len(beyond)} the first is {value} "
-            f"in {column.format_place(int(beyond[0]))}."
+            f"a number beyond {settings.largest:g} is no measurement; of {len(beyond)} the first is "
+            f"{value} in {column.format_place(int(beyond[0]))}."
         )
         yield column.make_finding("error", int(beyond[0]), text, TAKE_OUT)
     for mark in _find_marks(column, settings):
         rows = np.flatnonzero(values == mark)
-        others = values[(values != mark) & (np.abs(values) <= LARGEST)]
+        others = values[(values != mark) & (np.abs(values) <= settings.largest)]
         low, high = (column.format_value(value) for value in (others.min(), others.max()))
         text = (
             f"{column.format_value(mark)} is far outside the other numbers, {low} to {high}: a "
@@ -284,7 +285,7 @@ def check_marks(column: Column, settings: ColumnSettings = DEFAULTS) -> Iterator
 
 def _find_marks(column: Column, settings: ColumnSettings) -> list[float]:
     """The least and the largest number, where they are marks."""
-    values = column.values[np.abs(column.values) <= LARGEST]
+    values = column.values[np.abs(column.values) <= settings.largest]
     if not len(values):
         return []
     ends = {float(values.min()), float(values.max())}

@@ -14,9 +14,10 @@ from dropo.core.services.errors import BadFile, Incompatible
 from dropo.core.services.validation import Array
 from dropo.logs.guessing import words
 from dropo.logs.guessing.base import BaseColumns, find_base, moving_base, quaternion_order
-from dropo.logs.guessing.places import POSSIBLE, likeness, match
+from dropo.logs.guessing.places import PlaceSettings, likeness, match
 from dropo.logs.guessing.scales import (
     Scale,
+    ScaleSettings,
     accelerometer_unit,
     angle_unit,
     command_unit,
@@ -54,6 +55,25 @@ FOLLOWS: dict[str | None, float] = {
 what the model's actuators take."""
 
 
+@dataclass(frozen=True)
+class GuessSettings:
+    """What names and numbers of columns say.
+
+    Attributes
+    ----------
+    places : PlaceSettings
+        From when on a column's name is that of a joint.
+    scales : ScaleSettings
+        What the size of numbers says of their unit.
+    """
+
+    places: PlaceSettings = field(default_factory=PlaceSettings)
+    scales: ScaleSettings = field(default_factory=ScaleSettings)
+
+
+DEFAULTS = GuessSettings()
+
+
 @dataclass
 class Guess:
     """What was guessed.
@@ -84,6 +104,7 @@ def guess_mapping(
     robot: ModelJoints,
     given: dict[str, Any] | None = None,
     ask: Ask | None = None,
+    settings: GuessSettings = DEFAULTS,
 ) -> Guess:
     """Guess which columns of a log are the joints and actuators of a robot.
 
@@ -97,6 +118,8 @@ def guess_mapping(
         Entries of a mapping file that are not guessed.
     ask : callable, optional
         Asks what is not decided; without it, that is noted in `undecided`.
+    settings : GuessSettings, optional
+        What names and numbers say.
 
     Returns
     -------
@@ -109,7 +132,7 @@ def guess_mapping(
     Incompatible
         If the base moves in the log and is fixed in the model.
     """
-    guesser = _Guesser(log, robot, given or {}, ask)
+    guesser = _Guesser(log, robot, given or {}, ask, settings)
     guesser.find_time()
     guesser.find_runs()
     guesser.find_sensors()
@@ -131,12 +154,20 @@ def _quote(columns: Sequence[ColumnName]) -> str:
 class _Guesser:
     """A log, a robot, and what has been guessed so far."""
 
-    def __init__(self, log: Log, robot: ModelJoints, given: dict[str, Any], ask: Ask | None):
+    def __init__(
+        self,
+        log: Log,
+        robot: ModelJoints,
+        given: dict[str, Any],
+        ask: Ask | None,
+        settings: GuessSettings,
+    ):
         self.guess = Guess()
         self._log = log
         self._robot = robot
         self._given = given
         self._ask = ask
+        self._settings = settings
         names = [*robot.joints, *robot.actuators]
         self._columns = read_names(log, names)
         self._used: set[ColumnName] = set()
@@ -221,7 +252,8 @@ class _Guesser:
             if found is not None:
                 fixed[name] = found
         rest = [one for one in columns if one not in fixed.values()]
-        guessed, left = match(rest, [name for name in names if name not in fixed])
+        unnamed = [name for name in names if name not in fixed]
+        guessed, left = match(rest, unnamed, self._settings.places)
         found_all = fixed | guessed
         return {name: found_all[name] for name in names if name in found_all}, left
 
@@ -415,7 +447,8 @@ class _Guesser:
             options = [
                 one
                 for one in left
-                if likeness(one, name) >= POSSIBLE or (one.rest and one.rest[-1].isdigit())
+                if likeness(one, name) >= self._settings.places.possible
+                or (one.rest and one.rest[-1].isdigit())
             ]
             if not options:
                 continue
@@ -437,7 +470,7 @@ class _Guesser:
         values = [self._finite(column) for column in columns]
         given = next((self._given_entry("qpos", name).get("unit") for name in hinges), None)
         hints = [given or column.unit for column in columns]
-        commands, _ = match(self._numeric(self._of(words.COMMAND)), hinges)
+        commands, _ = match(self._numeric(self._of(words.COMMAND)), hinges, self._settings.places)
         followed = [self._paired(commands[name], found[name]) for name in commands]
         scale = angle_unit(values, [joints[name] for name in hinges], hints, followed)
         if scale is None:
@@ -544,7 +577,7 @@ class _Guesser:
                 continue
             hint = self._given_entry("qvel", name).get("unit") or column.unit
             place = UNITS[scale.unit][1] * (scale.sign * place + scale.offset)
-            unit = velocity_unit(time, place, speed, hint, joint)
+            unit = velocity_unit(time, place, speed, hint, joint, self._settings.scales)
             if unit is None:
                 self.guess.lines.append(
                     f"velocity: {column.column!r} is left out, since it does not fit the change "
@@ -594,7 +627,8 @@ class _Guesser:
                 found |= self._match("ctrl", rest, unnamed)[0]
             missing = [name for name in names if name not in found]
             left = [one for one in of_kind if one not in found.values()]
-            by_joint, _ = match(left, [owners[name] for name in missing])
+            joints = [owners[name] for name in missing]
+            by_joint, _ = match(left, joints, self._settings.places)
             for name in missing:
                 if owners[name] in by_joint:
                     found[name] = by_joint[owners[name]]

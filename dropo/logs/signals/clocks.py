@@ -276,7 +276,8 @@ def _delay_between(
     reference: "_Curve", signal: "_Curve", run: str, settings: AlignmentSettings
 ) -> SignalDelay | None:
     """How much later a signal is than a reference on the same clock."""
-    time, stamps = reference.time, signal.time
+    time = reference.time
+    stamps = signal.time
     if not len(stamps):
         return None
     # both at the reference's stamps
@@ -377,8 +378,9 @@ class _ShownOnce:
         if key not in self._by_run:
             names = [one.channel.name for one in run.series if one.channel.field == "sensordata"]
             sensors = [self.robot.sensors[name] for name in names]
-            rows, least = self.settings.sensor_rows, self.settings.minimum_rows
-            self._by_run[key] = run, sensors_shown(run, self.robot, sensors, rows, least)
+            rows = self.settings.sensor_rows
+            shown = sensors_shown(run, self.robot, sensors, rows, self.settings.minimum_rows)
+            self._by_run[key] = run, shown
         return self._by_run[key][1]
 
 
