@@ -267,8 +267,8 @@ def check_marks(column: Column, settings: ColumnSettings = DEFAULTS) -> Iterator
     if len(beyond):
         value = column.format_value(values[beyond[0]])
         text = (
-            f"a number beyond {settings.largest:g} is no measurement; of {len(beyond)} the first is "
-            f"{value} in {column.format_place(int(beyond[0]))}."
+            f"a number beyond {settings.largest:g} is no measurement; of {len(beyond)} the first "
+            f"is {value} in {column.format_place(int(beyond[0]))}."
         )
         yield column.make_finding("error", int(beyond[0]), text, TAKE_OUT)
     for mark in _find_marks(column, settings):

@@ -451,7 +451,7 @@ def _estimate_source_clock(
                 reference.values[:, moving],
                 signal.time - start,
                 signal.values[:, moving],
-                most=settings.largest_offset,
+                max_delay=settings.largest_offset,
             )
         except BadArgument:
             continue
