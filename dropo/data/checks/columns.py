@@ -19,14 +19,18 @@ class ColumnSettings:
     Attributes
     ----------
     stuck_rows : int
-        Rows of one value, between as many rows that move much faster, for a sensor that hangs.
-    release, release_rows : float, int
-        A joint that breaks loose from dry friction jumps by less than so many times the largest of
-        the next so many steps: it did not hang.
+        Number of rows of one value, between as many rows that move much faster, from which a sensor
+        hangs.
+    release : float
+        A joint that breaks loose from dry friction jumps by less than this many times the largest
+        of the next steps: it did not hang.
+    release_rows : int
+        Number of those next steps.
     clipped_rows : int
-        Rows at one end of a signal's range for a sensor at the end of its range.
+        Number of rows at one end of a signal's range from which a sensor is at the end of its
+        range.
     plateau_rows : int
-        How many of them must follow each other.
+        How many of these rows must follow each other.
     approach_rows : int
         Rows before such a plateau from which the speed is taken at which a signal runs into it.
     coarse_step : float
@@ -35,9 +39,11 @@ class ColumnSettings:
         Fraction of the rows in which a command may stand at its limit.
     soft_stop : float
         How far a joint's stop may give way, as a fraction of the joint's range.
-    far_code, far : float
+    far_code : float
         How far outside the other numbers, in multiples of their range and size, a code of loggers
-        and any number must be for a mark of what was not measured.
+        must be for a mark of what was not measured.
+    far : float
+        How far outside the other numbers any number must be for such a mark.
     jumps : int
         How often what moves must jump to a number that is no code.
     largest : float

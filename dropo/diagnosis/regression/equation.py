@@ -37,8 +37,10 @@ class EquationSettings:
 
     Attributes
     ----------
-    narrowest, widest : float
-        Widths of the first kernel that are taken, in rows.
+    narrowest : float
+        Smallest width of the first kernel, in rows.
+    widest : float
+        Largest width of the first kernel, in rows.
     noise : float
         The first kernel is widened until the noise of accelerations is this fraction of them.
     second : float
@@ -46,13 +48,14 @@ class EquationSettings:
     thin : float
         Distance of the rows that are kept, in widths of the second kernel.
     rows : int
-        Rows of the log that are used, at most, in stretches spread over all of it.
+        Largest number of rows of the log that are used, in stretches spread over all of it.
     stretch : float
-        Shortest stretch, in reaches of both kernels.
+        Length of the shortest stretch, in reaches of both kernels.
     still : float
-        A joint rests where it is slower than this fraction of its RMS speed ...
+        A joint rests where it is slower than this fraction of its RMS speed.
     still_noise : float
-        ... or than so many standard deviations of the speed's noise.
+        A joint also rests where it is slower than this many standard deviations of the speed's
+        noise.
     sticks : float
         A row is dropped for a joint that rests for this fraction of the second kernel.
     share : float
@@ -61,13 +64,13 @@ class EquationSettings:
     slow : float
         The speed at which the sign of dry friction fades out, in RMS speeds of a joint.
     delays : float
-        Longest delay of commands that is tried, in control steps ...
+        Longest delay of commands that is tried, in control steps.
     longest_delay : float
-        ... and in seconds.
+        Longest delay of commands that is tried, whatever the control step [s].
     block : float
-        Length of the blocks of time that errors are computed from [s], about.
+        About the length of the blocks of time that errors are computed from [s].
     blocks : int
-        Blocks there are at least, where the log is short.
+        Smallest number of blocks, where the log is short.
     """
 
     narrowest: float = 1.2

@@ -33,26 +33,26 @@ class AlignmentSettings:
     Attributes
     ----------
     rows : int
-        Rows that a delay is estimated from at most.
+        Largest number of rows that a delay is estimated from.
     sensor_rows : int
-        The same where what the model's sensor shows must be computed.
+        Largest number of rows where what the model's sensor shows must be computed.
     minimum_rows : int
-        Rows that it needs.
+        Smallest number of rows that a delay is estimated from.
     largest_offset : float
-        Seconds to which two clocks are together, or else their first rows.
+        Two clocks are within this of each other, or else their first rows are [s].
     certain : float
-        A delay of more standard errors than this is removed ...
+        A delay of more standard errors than this is removed.
     smallest : float
-        ... unless it is less than so many seconds.
+        A delay of less than this is not removed, however certain [s].
     runs : int
-        Runs that a constant delay is estimated from at most.
+        Largest number of runs that a constant delay is estimated from.
     disagreement : float
         Mean square of the runs' deviations, in standard errors, from which they have delays of
         their own.
     smallest_error : float
         Least standard error of a delay [s].
     window : float
-        Seconds over which displacements are compared.
+        Length of the windows over which displacements are compared [s].
     explained : float
         Fraction of a signal's variance without which a delay means nothing.
     """
