@@ -103,19 +103,27 @@ class FittedDistribution:
 
 
 def distribution_of(fit: Fit) -> tuple[FittedDistribution, tuple[str, ...]]:
-    """Find the distribution that policies are trained under: the fit's, and what is not known of
-    its means.
+    """Find the distribution that policies are trained under.
+
+    It is the fit's, and what is not known of its means.
 
     Parameters
     ----------
     fit : Fit
-        The fit. Of a posterior of constant parameters, the spread is what is not known.
+        The fit, of d parameters. Of a posterior of constant parameters, the spread is what is not
+        known.
 
     Returns
     -------
     distribution : FittedDistribution
+        Of the d parameters, in their units.
     approximated : tuple of str
         What is not as in the fit, a sentence each.
+
+    Raises
+    ------
+    UnknownName
+        If the fit's family is not registered here, as where it is a plug-in's.
     """
     family = find("families", fit.family)(fit.space)
     bounds = (fit.space.lower, fit.space.upper)

@@ -71,6 +71,11 @@ class Variant:
         -------
         bool
             Whether both have the same method and likelihood.
+
+        Raises
+        ------
+        UnknownName
+            If one of the methods does not exist.
         """
         return self._scale() == other._scale()
 
