@@ -39,7 +39,7 @@ from dropo.logs.mapping import Mapping as LogMapping
 from dropo.logs.mapping import read_mapping
 from dropo.logs.preparing import NoiseSettings, SignalNoise, add_velocities, clean_run
 from dropo.logs.readers.reader import Progress
-from dropo.logs.recordings import LogRun, RecordingSettings, read_runs
+from dropo.logs.recordings import LogReadingSettings, LogRun, read_runs
 from dropo.logs.signals.clocks import AlignmentSettings, SignalDelay, align_runs
 from dropo.mjmodel.joints import ModelJoints, load_model_joints
 
@@ -65,7 +65,7 @@ class ImportSettings:
         How delays are estimated and removed.
     noise : NoiseSettings
         From how much of a log noise levels are estimated.
-    recordings : RecordingSettings
+    recordings : LogReadingSettings
         How stamps of logs are read.
     grid : GridSettings
         How recordings are put on the grid of control steps.
@@ -77,7 +77,7 @@ class ImportSettings:
     checks: LogCheckSettings = field(default_factory=LogCheckSettings)
     alignment: AlignmentSettings = field(default_factory=AlignmentSettings)
     noise: NoiseSettings = field(default_factory=NoiseSettings)
-    recordings: RecordingSettings = field(default_factory=RecordingSettings)
+    recordings: LogReadingSettings = field(default_factory=LogReadingSettings)
     grid: GridSettings = field(default_factory=GridSettings)
 
 

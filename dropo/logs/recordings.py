@@ -24,7 +24,7 @@ from dropo.mjmodel.sensors import turned_columns
 
 
 @dataclass(frozen=True)
-class RecordingSettings:
+class LogReadingSettings:
     """How logs are read.
 
     Attributes
@@ -37,7 +37,7 @@ class RecordingSettings:
     far: float = 1e6
 
 
-DEFAULTS = RecordingSettings()
+DEFAULTS = LogReadingSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +169,7 @@ def read_runs(
     logs: Sequence[str | Path],
     mapping: Mapping,
     progress: Progress,
-    settings: RecordingSettings = DEFAULTS,
+    settings: LogReadingSettings = DEFAULTS,
 ) -> list[LogRun]:
     """Read the runs of logs.
 
@@ -181,7 +181,7 @@ def read_runs(
         Which columns are what, and which runs to take.
     progress : callable
         Called with the fraction of the work that is done, and what is being done.
-    settings : RecordingSettings, optional
+    settings : LogReadingSettings, optional
         How stamps are read.
 
     Returns
@@ -205,7 +205,7 @@ def read_runs(
 
 
 def _read_log(
-    log: Log, mapping: Mapping, progress: Progress, settings: RecordingSettings
+    log: Log, mapping: Mapping, progress: Progress, settings: LogReadingSettings
 ) -> list[LogRun]:
     """The runs of one log."""
     by_source: dict[Source, list[Channel]] = {}
@@ -328,7 +328,7 @@ class _Stamping:
     """How stamps become seconds: rows a second without any, and the log's first one once known."""
 
     rate: float | None
-    settings: RecordingSettings
+    settings: LogReadingSettings
     origin: Any = None
 
 
