@@ -73,7 +73,7 @@ class Cost(Protocol):
 
 @contextmanager
 def no_global_stream(name: str) -> Iterator[None]:
-    """Asserts that a block leaves numpy's global random stream alone, and restores its state.
+    """Assert that a block leaves numpy's global random stream alone, and restore its state.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def answer(optimizer: Optimizer, cost: Cost) -> Array:
 def drive(
     optimizer: Optimizer, cost: Cost, *, batches: int | None = None
 ) -> tuple[Array, str | None]:
-    """Runs an optimizer until it stops or its budget or the number of batches is used up.
+    """Run an optimizer until it stops or its budget or the number of batches is used up.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ def drive(
 
 
 def check_optimizer(factory: Factory, *, tolerance: float = 1e-3, budget: int = 4000) -> None:
-    """Checks that the optimizers which a factory makes keep to the contract of `Optimizer`.
+    """Check that the optimizers which a factory makes keep to the contract of `Optimizer`.
 
     Parameters
     ----------

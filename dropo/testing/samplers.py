@@ -78,7 +78,7 @@ flat = Flat()
 
 
 def check_sampler(sampler: Sampler, *, max_r_hat: float = 1.05, max_z: float = MAX_Z) -> None:
-    """Checks that a sampler keeps to the contract of `Sampler`.
+    """Check that a sampler keeps to the contract of `Sampler`.
 
     Parameters
     ----------

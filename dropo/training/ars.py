@@ -110,7 +110,7 @@ class Search:
         return np.where(deviation > CONSTANT_BELOW, deviation, 1.0)
 
     def add_observations(self, values: Array) -> None:
-        """Updates count, mean and square by more observations.
+        """Update count, mean and square by more observations.
 
         Parameters
         ----------
@@ -143,7 +143,7 @@ class Search:
 
     @classmethod
     def load(cls, folder: Path, actions: int, observations: int) -> Self:
-        """Reads the state that `save` wrote into a folder.
+        """Read the state that `save` wrote into a folder.
 
         Parameters
         ----------

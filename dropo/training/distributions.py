@@ -64,7 +64,7 @@ class Point:
         object.__setattr__(self, "mean", mean)
 
     def sample(self, draws: int, rng: Generator) -> Array:
-        """Returns copies of the mean (K, d), K = `draws`."""
+        """Return copies of the mean (K, d), K = `draws`."""
         return np.tile(self.mean, (draws, 1))
 
 
@@ -111,7 +111,7 @@ class Uniform:
         return self.bounds.mean(axis=0)
 
     def sample(self, draws: int, rng: Generator) -> Array:
-        """Returns independent draws (K, d), K = `draws`."""
+        """Return independent draws (K, d), K = `draws`."""
         low, high = self.bounds
         return low + rng.random((draws, len(self.space))) * (high - low)
 
@@ -139,14 +139,14 @@ class Predictive:
         return self.fit.mean
 
     def sample(self, draws: int, rng: Generator) -> Array:
-        """Returns independent draws (K, d), K = `draws`, all physically possible."""
+        """Return independent draws (K, d), K = `draws`, all physically possible."""
         values = self.fit.sample(draws, rng)
         errors = np.nan_to_num(self.fit.mean_se)
         return self.space.feasible(values + errors * rng.standard_normal(values.shape))
 
 
 def predictive(distribution: ParameterDistribution) -> ParameterDistribution:
-    """Adds to a fit's spread what is not known of its means.
+    """Add to a fit's spread what is not known of its means.
 
     Parameters
     ----------
@@ -201,7 +201,7 @@ class Curriculum:
         return self.distribution.mean
 
     def sample(self, draws: int, rng: Generator) -> Array:
-        """Returns independent draws (K, d) at the full width, K = `draws`."""
+        """Return independent draws (K, d) at the full width, K = `draws`."""
         return self.distribution.sample(draws, rng)
 
     def fraction(self, done: int) -> float:
@@ -239,7 +239,7 @@ def full_width(distribution: ParameterDistribution) -> ParameterDistribution:
 
 
 def draw(distribution: ParameterDistribution, rng: Generator, done: int) -> Array:
-    """Draws one parameter vector.
+    """Draw one parameter vector.
 
     Parameters
     ----------

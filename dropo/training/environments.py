@@ -43,7 +43,7 @@ def randomize(
     uncertainty: bool = True,
     **options: Any,
 ) -> "RandomizedEnv | TaskEnv | RandomizedVectorEnv":
-    """Makes a Gymnasium environment whose parameters are drawn anew for every episode.
+    """Make a Gymnasium environment whose parameters are drawn anew for every episode.
 
     `info["parameters"]` of `reset` holds the draw. An episode whose simulation diverges is
     truncated, with `info["broken"]`.
@@ -109,7 +109,7 @@ def randomize(
 
 
 def resolve(target: Target, *, trusted: bool = True) -> Target:
-    """Loads a problem by its name or file.
+    """Load a problem by its name or file.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ def batched_env(
     threads: int = 1,
     **options: Any,
 ) -> BatchedEnv:
-    """Makes environments that are simulated together.
+    """Make environments that are simulated together.
 
     Parameters
     ----------
@@ -295,7 +295,7 @@ class RandomizedEnv(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Recor
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Draws parameters and begins an episode, as `gymnasium.Env.reset`.
+        """Draw parameters and begin an episode, as `gymnasium.Env.reset`.
 
         Parameters
         ----------
@@ -356,7 +356,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Draws parameters and begins an episode, as `gymnasium.Env.reset`.
+        """Draw parameters and begin an episode, as `gymnasium.Env.reset`.
 
         Parameters
         ----------
@@ -456,7 +456,7 @@ class RandomizedVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Array, dict[str, Any]]:
-        """Resets all, as `gymnasium.vector.VectorEnv.reset`.
+        """Reset all, as `gymnasium.vector.VectorEnv.reset`.
 
         Parameters
         ----------

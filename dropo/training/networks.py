@@ -97,7 +97,7 @@ class NetworkPolicy(Policy):
     def read(
         cls, path: Path, content: dict[str, Any], limits: Array, about: dict[str, Any]
     ) -> "NetworkPolicy":
-        """Reads the policy of a JSON file with its zip beside it.
+        """Read the policy of a JSON file with its zip beside it.
 
         Parameters
         ----------
@@ -191,7 +191,7 @@ class SAC:
     def train(
         self, setup: TrainingSetup, rng: Generator, folder: Path | None, progress: Progress
     ) -> NetworkPolicy:
-        """Trains a network.
+        """Train a network.
 
         Parameters
         ----------
@@ -266,7 +266,7 @@ class PPO:
     def train(
         self, setup: TrainingSetup, rng: Generator, folder: Path | None, progress: Progress
     ) -> NetworkPolicy:
-        """Trains a network.
+        """Train a network.
 
         Parameters
         ----------
@@ -321,7 +321,7 @@ class _Training:
     def run(
         self, setup: TrainingSetup, rng: Generator, folder: Path | None, progress: Progress
     ) -> NetworkPolicy:
-        """Trains to the end and returns the policy."""
+        """Train to the end and return the policy."""
         _algorithms()  # refuses before anything is made
         import torch
 

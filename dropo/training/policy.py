@@ -49,7 +49,7 @@ class Policy(ABC):
 
     @abstractmethod
     def save(self, path: str | Path) -> Path:
-        """Writes the policy into a file.
+        """Write the policy into a file.
 
         Parameters
         ----------
@@ -63,7 +63,7 @@ class Policy(ABC):
         """
 
     def check(self, observations: int, limits: Array, target: str) -> None:
-        """Checks that the policy fits a target.
+        """Check that the policy fits a target.
 
         Parameters
         ----------
@@ -160,7 +160,7 @@ class LinearPolicy(Policy):
 def linear(
     weights: Array, mean: Array, deviation: Array, limits: Array, observations: Array
 ) -> Array:
-    """Returns the actions of linear policies, in sums that no library splits among threads.
+    """Return the actions of linear policies, in sums that no library splits among threads.
 
     Parameters
     ----------
@@ -224,7 +224,7 @@ def read_limits(rows: list[list[float | None]]) -> Array:
 
 
 def write(path: str | Path, content: dict[str, Any]) -> Path:
-    """Writes a policy's JSON, whole or not at all.
+    """Write a policy's JSON, whole or not at all.
 
     Parameters
     ----------
@@ -248,7 +248,7 @@ def write(path: str | Path, content: dict[str, Any]) -> Path:
 
 
 def load_policy(path: str | Path, *, trusted: bool = True) -> Policy:
-    """Reads the policy at a path.
+    """Read the policy at a path.
 
     Parameters
     ----------

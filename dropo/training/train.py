@@ -29,7 +29,7 @@ class Algorithm(Protocol):
     def train(
         self, setup: TrainingSetup, rng: Generator, folder: Path | None, progress: Progress
     ) -> Policy:
-        """Trains a policy.
+        """Train a policy.
 
         Parameters
         ----------
@@ -63,7 +63,7 @@ def train(
     progress: Progress | None = None,
     trusted: bool = True,
 ) -> Policy:
-    """Trains a policy under a distribution of the target's parameters, drawn for every episode.
+    """Train a policy under a distribution of the target's parameters, drawn for every episode.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def train(
 
 
 def about(setup: TrainingSetup, algorithm: Algorithm) -> dict[str, Any]:
-    """Returns what a policy's file says about its training, as JSON.
+    """Return what a policy's file says about its training, as JSON.
 
     Parameters
     ----------

@@ -132,7 +132,7 @@ def healthy(states: Array) -> NDArray[np.bool_]:
 
 
 def start_states(rng: Generator, n: int) -> Array:
-    """Draws start states: upright at rest, within Gymnasium's noise, nothing travelled yet.
+    """Draw start states: upright at rest, within Gymnasium's noise, nothing travelled yet.
 
     Parameters
     ----------
@@ -162,7 +162,7 @@ def simulate(
     policy: HopperPolicy | None = None,
     threads: int = 1,
 ) -> tuple[Trajectories, Array]:
-    """Simulates transitions of the hopper under a policy.
+    """Simulate transitions of the hopper under a policy.
 
     A trajectory ends where the hopper falls; others are started until there are
     `trajectories * transitions_per_trajectory` transitions. As in the thesis, masses change

@@ -79,7 +79,7 @@ class Runs:
 
 
 def find_runs(folder: str, model: str, source: str) -> tuple[Runs, Path]:
-    """Reads the runs of a machine among the external data.
+    """Read the runs of a machine among the external data.
 
     Parameters
     ----------

@@ -141,7 +141,7 @@ class Arms:
         self._speeds = np.zeros((count, 7))
 
     def lead(self, ids: Ints, velocities: Array) -> None:
-        """Moves arms on by a control step, towards velocities of their pins.
+        """Move arms on by a control step, towards velocities of their pins.
 
         Parameters
         ----------

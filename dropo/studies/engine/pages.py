@@ -11,7 +11,7 @@ from dropo.studies.engine.study import Study
 
 
 def write(study: Study, folder: Path) -> None:
-    """Writes a study's files into a folder.
+    """Write a study's files into a folder.
 
     They are `<study>.md`, `<study>.json` and, if it draws, `<study>.svg`. In the folder's README.md
     the text between `<!-- study: <name> -->` and `<!-- end -->` is replaced.

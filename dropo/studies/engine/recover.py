@@ -41,7 +41,7 @@ def recover(
     threads: int = 0,
     progress: Progress = silent,
 ) -> Study:
-    """Runs the study of that name; `dropo list studies` lists them.
+    """Run the study of that name; `dropo list studies` lists them.
 
     Parameters
     ----------
@@ -169,7 +169,7 @@ def run_study(
 
 
 def keep_study(study: Study, out: str | Path | None) -> None:
-    """Writes a finished study, and removes the journal of its tasks.
+    """Write a finished study, and remove the journal of its tasks.
 
     Parameters
     ----------

@@ -263,7 +263,7 @@ def _size(item: Item) -> Size:
 
 
 def estimator(method: str, target: TargetRobot, size: Size) -> Estimator:
-    """Builds a method with its callbacks.
+    """Build a method with its callbacks.
 
     Parameters
     ----------
@@ -296,7 +296,7 @@ def estimator(method: str, target: TargetRobot, size: Size) -> Estimator:
 
 
 def fitted(item: Item) -> dict[str, Any]:
-    """Fits the item's data by its `method`.
+    """Fit the item's data by its `method`.
 
     Parameters
     ----------

@@ -127,7 +127,7 @@ def at_hand() -> bool:
 
 
 def estimator(method: str, size: Size) -> Estimator:
-    """Builds a method by its name in the studies' tables, with its defaults.
+    """Build a method by its name in the studies' tables, with its defaults.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ def estimator(method: str, size: Size) -> Estimator:
 
 
 def fitted(item: Item) -> dict[str, Any]:
-    """Fits the item's data by its `method`.
+    """Fit the item's data by its `method`.
 
     Parameters
     ----------
@@ -198,7 +198,7 @@ def fitted(item: Item) -> dict[str, Any]:
 
 
 def as_published(work: Work, item: Item) -> dict[str, Any]:
-    """Fits the item's data at the thesis' full size; see `fitted`.
+    """Fit the item's data at the thesis' full size; see `fitted`.
 
     It takes hours on all cores. What an interrupted run has evaluated is kept.
 

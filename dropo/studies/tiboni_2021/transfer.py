@@ -77,7 +77,7 @@ def data_set(item: Item) -> int:
 
 
 def estimator(item: Item, draws: int, epsilon: float) -> Estimator | None:
-    """Builds the item's method.
+    """Build the item's method.
 
     Parameters
     ----------
@@ -404,7 +404,7 @@ def verdict(runs: Sequence[Result], target: float) -> tuple[str, str]:
 
 
 def draw(figure: Any, runs: Sequence[Result]) -> None:
-    """Draws each run's mean distance to the goal by method, and their mean.
+    """Draw each run's mean distance to the goal by method, and their mean.
 
     Parameters
     ----------
