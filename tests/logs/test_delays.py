@@ -88,4 +88,4 @@ def test_refusals():
     with pytest.raises(BadArgument, match="moving"):
         estimate_delay(time, np.sin(time), np.ones(100))
     with pytest.raises(BadArgument, match="above 0"):
-        estimate_delay(time, np.sin(time), np.sin(time), most=0)
+        estimate_delay(time, np.sin(time), np.sin(time), max_delay=0)

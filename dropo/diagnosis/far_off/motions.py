@@ -28,16 +28,16 @@ class MotionSettings:
     seconds : tuple of float
         Lengths of windows that are tried, rising [s].
     tried : int
-        Windows of which it is found out whether they can be so long.
+        Number of windows by which it is found out whether they can be so long.
     curved : float
         Fraction of the errors' variance that is not linear in the start's noise, above which
         windows are too long.
     physics_steps : int
-        About how many are simulated for all windows of a side.
+        About how many physics steps are simulated for all windows of a side.
     control_steps : int
-        How many at most are compared.
+        Largest number of control steps that are compared on a side.
     pool : int
-        Windows to fit are chosen from about so many times as many.
+        Windows to fit are chosen from about this many times as many.
     looked_at : int
         Of so many times the windows that are wanted it is found out which the start's noise bends.
     resting : float
@@ -45,12 +45,13 @@ class MotionSettings:
     spans : int
         That change is over one of so many parts of a window.
     few : int
-        Windows of which it is found out whether the start's noise matters: ...
+        Number of windows by which it is found out whether the start's noise matters.
     start : float
-        ... if its variance on average over all steps is more than this fraction of the errors'.
+        The start's noise matters if its variance, averaged over all steps, is more than this
+        fraction of the errors' variance.
     rate_noise : float
-        Noise of a rate at the start, as a fraction of its spread, at least: rates were mostly
-        estimated from positions.
+        Lower bound of a rate's noise at the start, as a fraction of the rate's spread: rates were
+        mostly estimated from positions.
     """
 
     seconds: tuple[float, ...] = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 20.0)
@@ -116,16 +117,49 @@ class Motions:
         return moving(signals).reshape(-1, signals.shape[2])
 
     def of_compared(self, values: Array) -> Array:
-        """Predictions or their changes (..., W, L p) of the signals compared: (..., W, L p')."""
+        """Select the compared signals.
+
+        Parameters
+        ----------
+        values : (..., W, L p) array
+            Predictions of all signals, or changes of them.
+
+        Returns
+        -------
+        (..., W, L p') array
+            Those of the compared signals.
+        """
         apart = values.reshape(*values.shape[:-1], self.windows.length, len(self.compared))
         return apart[..., self.compared].reshape(*values.shape[:-1], -1)
 
     def residuals(self, predicted: Array) -> Array:
-        """Measured less predicted (..., W, L p'), of predictions (..., W, L p)."""
+        """Compare predictions with what was measured.
+
+        Parameters
+        ----------
+        predicted : (..., W, L p) array
+            Predictions of all signals.
+
+        Returns
+        -------
+        (..., W, L p') array
+            Measured less predicted, of the compared signals, in their units.
+        """
         return self.of_compared(self.windows.measured - predicted)
 
     def whitener(self, scale: Array) -> Whitener:
-        """The covariance of residuals with errors (p',) in every step."""
+        """Build the covariance of residuals, the start's noise included.
+
+        Parameters
+        ----------
+        scale : (p',) array
+            Standard deviation of each compared signal's error in every step.
+
+        Returns
+        -------
+        Whitener
+            What whitens residuals.
+        """
         return Whitener(self.loadings, self.start_sd, white(scale))
 
 
@@ -177,7 +211,7 @@ def motions_of(
     Raises
     ------
     BadArgument
-        If the data are too few for the shortest windows.
+        If the data are too few for the shortest windows, or none are held out.
 
     References
     ----------
@@ -269,9 +303,19 @@ def _noise_by_differences(windows: Windows, p: int) -> tuple[Array, Array]:
 
 
 def outer_spread(errors: Array) -> Array:
-    """Estimate the standard deviation (p,) of errors (n, p) about 0 by one of the larger ones.
+    """Estimate the standard deviation of errors about 0 by one of the larger ones.
 
     Errors that are not finite are larger than all others.
+
+    Parameters
+    ----------
+    errors : (n, p) array
+        Errors of p signals.
+
+    Returns
+    -------
+    (p,) array
+        The quantile `OUTER` of the sizes, in standard deviations of normal errors.
     """
     sizes = np.abs(np.where(np.isfinite(errors), errors, np.inf))
     return np.asarray(np.quantile(sizes, OUTER, axis=0, method="higher") / OUTER_NORMAL)

@@ -17,11 +17,12 @@ class TieSettings:
     Attributes
     ----------
     alone : float
-        Their error is so many times what it would be were the others known ...
+        Numbers are tied if their error is this many times what it would be were the others known.
     alike : float
-        ... and their errors are correlated by this.
+        Their errors must be correlated by at least this.
     share : float
-        One of them is known to no better than this fraction of itself, or of 1 if it is a fraction.
+        One of them must be known to no better than this fraction of itself, or of 1 if it is a
+        fraction.
     """
 
     alone: float = 3.0

@@ -293,9 +293,19 @@ class Missing:
         return float(np.sqrt(np.mean((root_mean_square(residuals) / drive) ** 2)))
 
     def numbers(self, simulator: RobotSimulator, certain: float) -> list[Number]:
-        """All numbers that were fitted, with their errors.
+        """List all numbers that were fitted, with their errors.
 
-        certain: the standard errors that a number must be away from 0 to be a cause.
+        Parameters
+        ----------
+        simulator : RobotSimulator
+            The robot, for the names of its drives and bodies.
+        certain : float
+            Standard errors that a number must be away from 0 to be a cause.
+
+        Returns
+        -------
+        list of Number
+            The gain, the terms, the payload and the delay, as far as they are there.
         """
         solution = self.solution
         errors = self.errors.tolist()
@@ -344,12 +354,36 @@ class Missing:
         return found
 
     def at_bound(self, i: int) -> bool:
-        """Whether the total of a term's number is 0, the least that it may be."""
+        """Tell whether the total of a term's number is 0, the least that it may be.
+
+        Parameters
+        ----------
+        i : int
+            The term's index.
+
+        Returns
+        -------
+        bool
+        """
         lowest = self.fitter.terms[i].lowest
         return bool(self.solution.sizes[i] <= lowest + 1e-6 * abs(lowest))
 
     def doubtful(self, certain: float) -> int | str | None:
-        """The least certain number, if it is within so many standard errors of 0."""
+        """Find the least certain number, if it is not certain.
+
+        The gain of all drives and the laws of several joints are none: left out, others would make
+        up for them.
+
+        Parameters
+        ----------
+        certain : float
+            Standard errors within which of 0 a number is not certain.
+
+        Returns
+        -------
+        int or None
+            The term's index; None where all are certain.
+        """
         solution = self.solution
         errors = self.errors.tolist()
         ratios: dict[int | str, float] = {}
@@ -365,7 +399,18 @@ class Missing:
         return None if least is None or ratios[least] > certain else least
 
     def without(self, index: int | str) -> Solution:
-        """The numbers without one of them, the rest as it is."""
+        """Take out one of the numbers, the rest as it is.
+
+        Parameters
+        ----------
+        index : int or str
+            A term's index, `GAIN`, "delay" or "payload".
+
+        Returns
+        -------
+        Solution
+            Without it; of the delay, with that of the model's own simulation.
+        """
         solution = self.solution
         if index == "delay":
             return replace(solution, delay=self.fitter.own_delay)
@@ -379,9 +424,19 @@ class Missing:
         return replace(solution, chosen=chosen, sizes=sizes, gain=gain)
 
     def gain_without(self, index: int | str) -> tuple[float, float]:
-        """What a number gains on data held out, and its error [nats per row of the equation].
+        """Compute what a number gains on data held out.
 
         Everything is fitted again without each fold in turn.
+
+        Parameters
+        ----------
+        index : int or str
+            A term's index, `GAIN`, "delay" or "payload".
+
+        Returns
+        -------
+        gain, error : float
+            The gain and its standard error by blocks [nats per row of the equation].
         """
         without = self.without(index)
         # The tables of blocks depend on the delay, not on what is chosen.
@@ -401,11 +456,35 @@ class Missing:
         return self.chooser.held_out(self.solution, self._tables)
 
     def left_without(self, index: int | str) -> float:
-        """What is left without a number, the others fitted again."""
+        """Compute what is left without a number, the others fitted again.
+
+        Parameters
+        ----------
+        index : int or str
+            A term's index, `GAIN`, "delay" or "payload".
+
+        Returns
+        -------
+        float
+            RMS of the forces that are left, as a fraction of the drives'.
+        """
         return self._left(self.fitter.solve(self.without(index)))
 
     def alternatives(self, index: int | str, similarity: float) -> tuple[Alternative, ...]:
-        """What has the same forces as a number, with all other numbers projected out."""
+        """Find what has the same forces as a number, with all other numbers projected out.
+
+        Parameters
+        ----------
+        index : int or str
+            A term's index, `GAIN`, "delay" or "payload".
+        similarity : float
+            Cosine of the two forces above which data cannot tell them apart.
+
+        Returns
+        -------
+        tuple of Alternative
+            The most similar first; none of a delay or a payload, which are not linear.
+        """
         if index in ("delay", "payload"):
             return ()
         fitter = self.fitter

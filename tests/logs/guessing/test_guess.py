@@ -9,7 +9,8 @@ import pytest
 
 from dropo.core.services.errors import BadFile, Incompatible
 from dropo.logs.guessing.base import moving_base
-from dropo.logs.guessing.guess import Guess, guess_mapping
+from dropo.logs.guessing.guess import guess_mapping
+from dropo.logs.guessing.guessed import Guess
 from dropo.logs.guessing.words import read_name
 from dropo.logs.readers.reader import open_log
 from dropo.mjmodel.joints import ModelJoints, model_joints
