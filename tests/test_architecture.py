@@ -84,3 +84,13 @@ def test_the_page_names_every_room(script):
     rows = re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE)
     layers = script.read_layers(ROOT / "pyproject.toml")
     assert sorted(rows) == sorted(room for layer in layers for room in layer)
+
+
+def test_contributing_is_short_and_names_every_room(script):
+    """It is read as a whole, and says of each room which tests belong to it."""
+    text = (ROOT / "CONTRIBUTING.md").read_text()
+    assert len(text.splitlines()) <= 30
+    layers = script.read_layers(ROOT / "pyproject.toml")
+    rooms = {room for layer in layers for room in layer}
+    table = "".join(line for line in text.splitlines() if line.startswith("|"))
+    assert rooms - set(re.findall(r"`(\w+)`", table)) == set()

@@ -146,7 +146,7 @@ def _run(arguments: argparse.Namespace, folder: RunFolder) -> int:
     record = diagnosis_record(arguments, problem)
     if arguments.reference or (problem.reference and not arguments.quick):
         return _compare(arguments, problem, record, folder)
-    folder.begin(record)
+    folder.claim(record)
     log = EvaluationLog(folder.file(SEARCH), record)
     try:
         found = _diagnosis(arguments, problem, log, folder)
@@ -177,7 +177,7 @@ def _compare(
     from dropo.diagnosis.reference.compare import check_comparison, compare_with_reference
 
     check_comparison(problem, arguments.reference, arguments.effects)
-    folder.begin(record)
+    folder.claim(record)
     found = compare_with_reference(problem, arguments.reference, arguments.effects)
 
     def save() -> None:

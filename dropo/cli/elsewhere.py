@@ -14,7 +14,13 @@ OPTION = "--executor"
 
 
 def elsewhere_option(parser: argparse.ArgumentParser) -> None:
-    """Add --executor to the `parser` of a command that runs there as a whole."""
+    """Add --executor to the parser of a command that runs there as a whole.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        The command's parser.
+    """
     executor_option(parser, "the whole command runs, on the same files")
 
 

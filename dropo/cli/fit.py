@@ -187,7 +187,7 @@ def _run(arguments: argparse.Namespace, folder: RunFolder) -> int:
     if arguments.length == AUTO:
         estimator = ChooseHorizon(estimator)
         record = {**record, "lambda": AUTO}
-    folder.begin(record)
+    folder.claim(record)
     evaluation_log = EvaluationLog(folder.file("evaluations.jsonl"), record)
     progress = Progress(silent=arguments.quiet, path=folder.file(PROGRESS))
     try:

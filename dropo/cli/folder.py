@@ -30,7 +30,7 @@ class RunFolder:
         self.path = path
         self._new: list[Path] = []
 
-    def begin(self, record: dict[str, Any]) -> None:
+    def claim(self, record: dict[str, Any]) -> None:
         """Take the folder for a run, or go on with it.
 
         Parameters

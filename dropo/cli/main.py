@@ -46,8 +46,27 @@ LONGEST = 1200
 class _Parser(argparse.ArgumentParser):
     """Refuses like everything else: one line, status 2, no usage."""
 
-    def error(self, message: str) -> NoReturn:
-        raise BadArgument(f"{message[:1].upper()}{message[1:]}. See `{self.prog} --help`.")
+    def error(self, message: str, hint: str = "") -> NoReturn:
+        rule = f"{message[:1].upper()}{message[1:]}."
+        raise BadArgument(f"{rule}{hint} See `{self.prog} --help`.")
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
+        """Refuse what is left where it is left, so that the message names the command's help."""
+        found, unknown = super().parse_known_args(args, namespace)
+        if unknown:
+            self.error(f"unrecognized arguments: {' '.join(unknown)}", self._suggestion(unknown))
+        return found, unknown
+
+    def _suggestion(self, unknown: Sequence[str]) -> str:
+        """The option that is nearest to the first unknown one, as a sentence; empty for none."""
+        import difflib
+
+        options = [name for name in self._option_string_actions if name.startswith("--")]
+        for text in unknown:
+            near = difflib.get_close_matches(text.partition("=")[0], options, n=1)
+            if near:
+                return f" Did you mean {near[0]!r}?"
+        return ""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -160,7 +179,8 @@ def _warning_in_a_line() -> Iterator[None]:
 
 def _parser() -> argparse.ArgumentParser:
     """The parser with all commands."""
-    parser = _Parser(prog="dropo", description=dropo.__doc__, allow_abbrev=False)
+    about = (dropo.__doc__ or "").partition("\n\n")[0]
+    parser = _Parser(prog="dropo", description=about, allow_abbrev=False)
     parser.add_argument("--version", action="version", version=f"dropo {__version__}")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
     for command in (

@@ -288,7 +288,13 @@ def _rich(table: Any) -> Any:
 
 
 def printing_options(parser: argparse.ArgumentParser) -> None:
-    """Add --json and --quiet to a `parser`; every command has them."""
+    """Add --json and --quiet to a parser; every command has them.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        The command's parser.
+    """
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     parser.add_argument("--quiet", action="store_true", help="print neither progress nor the table")
 
@@ -320,7 +326,15 @@ def computing_options(
 
 
 def executor_option(parser: argparse.ArgumentParser, what: str) -> None:
-    """Add --executor to a `parser`; `what` it runs there."""
+    """Add --executor to a parser.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        The command's parser.
+    what : str
+        What runs there, for the help: a clause such as "the fits run".
+    """
     parser.add_argument(
         "--executor",
         metavar="NAME[:PLACE]",
@@ -339,7 +353,15 @@ PARTS = "run the Python code that a problem file names under `plugins` and `task
 
 
 def trusting_option(parser: argparse.ArgumentParser, allowed: str = TASK) -> None:
-    """Add --trust to a `parser`, for commands that may run code of others; what it allows."""
+    """Add --trust to a parser, for commands that may run code of others.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        The command's parser.
+    allowed : str
+        What it allows, for the help.
+    """
     parser.add_argument("--trust", action="store_true", help=allowed)
 
 

@@ -76,7 +76,13 @@ def add(commands: Any) -> None:
 
 
 def part_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options that name parts to exchange to a `parser`; each takes several names."""
+    """Add the options that name parts to exchange; each takes several names.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        The command's parser.
+    """
     for name, kind in PARTS.items():
         parser.add_argument(
             f"--{name}",
@@ -95,7 +101,24 @@ def part_options(parser: argparse.ArgumentParser) -> None:
 
 
 def named_variants(arguments: argparse.Namespace) -> "list[Variant]":
-    """Make the variants that the options of `part_options` name."""
+    """Make the variants that the options of `part_options` name.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        Of the command.
+
+    Returns
+    -------
+    list of Variant
+
+    Raises
+    ------
+    UnknownName
+        If there is no such part; the message gives the nearest name.
+    Incompatible
+        If none of the methods takes a part that is named.
+    """
     from dropo.studies.engine.variants import variants_of
 
     return variants_of(

@@ -130,7 +130,7 @@ def _run(arguments: argparse.Namespace, folder: RunFolder) -> int:
     target = resolve(arguments.problem, trusted=arguments.trust)
     algorithm = _algorithm(arguments)
     distribution = _distribution(arguments, target)
-    folder.begin(_record(arguments, target, algorithm))
+    folder.claim(_record(arguments, target, algorithm))
     options: dict[str, Any] = {
         "noise": arguments.noise,
         "steps": arguments.steps,

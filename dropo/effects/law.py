@@ -35,7 +35,18 @@ KEPT = 32
 
 
 def law(context: EffectContext) -> Iterator[EffectInstance]:
-    """A law has a place and numbers once it has a formula: see `law_instance`."""
+    """A law has a place and numbers once it has a formula: see `law_instance`.
+
+    Parameters
+    ----------
+    context : EffectContext
+        The robot, which is not looked at.
+
+    Returns
+    -------
+    iterator of EffectInstance
+        Empty.
+    """
     del context
     return iter(())
 
@@ -171,7 +182,8 @@ def law_of_text(context: EffectContext, text: str) -> EffectInstance:
         raise BadArgument(f"A law is named as law:PLACE:FORMULA. Got law:{text}.")
     target, dot, variant = place.rpartition(".")
     if not dot or variant not in (COMMAND, *AXES):
-        target, variant = place, ""
+        target = place
+    variant = ""
     return law_instance(context, target, formula, variant)
 
 

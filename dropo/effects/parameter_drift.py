@@ -5,17 +5,12 @@ from functools import partial
 
 import numpy as np
 
-from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity
+from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity, instances_of
 from dropo.core.contracts.time_profile import growing, setting_in
 from dropo.core.services.validation import Array
-from dropo.effects.actuators.actuator_gain import actuator_gain
-from dropo.effects.bodies.body_mass import body_mass
-from dropo.effects.bodies.contact_friction import contact_friction
-from dropo.effects.joints.joint_damping import joint_damping
-from dropo.effects.joints.joint_friction import joint_friction
 
-CHANGING = (body_mass, joint_damping, joint_friction, actuator_gain, contact_friction)
-"""What changes on real robots: payloads, warm grease, wear, batteries, dirt."""
+CHANGING = ("body_mass", "joint_damping", "joint_friction", "actuator_gain", "contact_friction")
+"""Effects that change on real robots: payloads, warm grease, wear, batteries, dirt."""
 
 
 def parameter_drift(context: EffectContext) -> Iterator[EffectInstance]:
@@ -25,6 +20,17 @@ def parameter_drift(context: EffectContext) -> Iterator[EffectInstance]:
     "ramp", theta(t) = theta + d r(t): t is how far into the data a segment begins, and r grows from
     0 to 1 in ten stages. The target is the parameter's name or the label of the effect that
     changes.
+
+    Parameters
+    ----------
+    context : EffectContext
+        The robot for which instances are offered.
+
+    Yields
+    ------
+    EffectInstance
+        The variants "from" and "ramp" for each declared parameter, and for each instance of the
+        effects that can change in the course of the data.
     """
     for place, parameter in enumerate(context.parameters):
         width = parameter.high - parameter.low
@@ -33,8 +39,8 @@ def parameter_drift(context: EffectContext) -> Iterator[EffectInstance]:
         add = partial(_add, place, parameter.lower, parameter.upper)
         yield from _drifting(EffectInstance(parameter.name, None, (change,), declared=add))
     for effect in CHANGING:
-        for instance in effect(context):
-            if instance.target is not None or effect is contact_friction:
+        for instance in instances_of(context, effect):
+            if instance.target is not None or effect == "contact_friction":
                 yield from _drifting(instance)
 
 

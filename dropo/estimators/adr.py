@@ -47,6 +47,14 @@ class ADR(InteractiveEstimator):
     draws : int
         By which the log-likelihood of the problem's data is estimated.
 
+    Raises
+    ------
+    Incompatible
+        Without `performance`.
+    BadArgument
+        If `performance` cannot be called, the thresholds are not in ascending order, `step` is not
+        in (0, 0.5], or `buffer` or `budget` is below 1.
+
     References
     ----------
     OpenAI, "Solving Rubik's cube with a robot hand", 2019, arXiv:1910.07113, section 5.

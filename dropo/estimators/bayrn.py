@@ -33,9 +33,9 @@ class AcquisitionSettings:
     Attributes
     ----------
     restarts : int
-        Local searches.
+        So many local searches are made.
     candidates : int
-        Random points of which their starts are chosen.
+        Their starts are chosen from so many random points.
     """
 
     restarts: int = 4
@@ -70,6 +70,15 @@ class BayRn(InteractiveEstimator):
     draws : int
         By which the log-likelihood of the problem's data is estimated.
     acquisition : AcquisitionSettings
+
+    Raises
+    ------
+    Incompatible
+        Without `evaluate`.
+    MissingPackage
+        If BoTorch is missing.
+    BadArgument
+        If `evaluate` cannot be called, `first` is below 2, or `budget` is below `first`.
 
     References
     ----------

@@ -31,6 +31,13 @@ class DROID(Estimator):
     budget : int
         Evaluations of the distance at most, one simulation of all segments each.
 
+    Raises
+    ------
+    BadArgument
+        If `budget` is below 1.
+    Incompatible
+        By `fit`, if the optimizer ends without a covariance.
+
     References
     ----------
     Tiboni 2021, section 6.1.

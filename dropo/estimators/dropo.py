@@ -31,7 +31,6 @@ from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import Incompatible, SimulationFailed
 from dropo.core.services.registry import find
 from dropo.core.services.validation import Array, known, require
-from dropo.estimators.least_squares import estimate
 from dropo.estimators.support.epsilon import TAILS, noise_scale, noise_shape, tail_degrees, tune
 from dropo.estimators.support.family_of_groups import family_warnings
 from dropo.estimators.support.far_groups import with_models_of_their_own
@@ -44,9 +43,11 @@ from dropo.estimators.support.first_mean.global_search import (
     may_have_several,
 )
 from dropo.estimators.support.first_mean.search import search_from
+from dropo.estimators.support.point_estimate import estimate
 from dropo.estimators.support.rough_starts import (
-    ROUGH_TAILS,
+    SEARCH,
     SMOOTHED,
+    SearchSettings,
     of_the_physics_step,
     search_settings,
     starts_are_rough,
@@ -122,6 +123,22 @@ class DROPO(Estimator):
         What learned noise may be where neither this nor the problem gives degrees. "auto": a
         Student t where the residuals of a Gaussian fit have longer tails (outliers among them), and
         with a memory in whole runs. "gaussian": nothing else, but in whole runs.
+    search : SearchSettings
+        How a local likelihood is searched: trust regions, and points of the whole box before.
+
+    Raises
+    ------
+    UnknownName
+        If a likelihood, or a named `start`, `starts`, `noise` or `epsilon`, is none of those that
+        it may be.
+    BadArgument
+        If `budget` is below 1, `degrees` is not above 2, or `draws` or `redraw` is given beside a
+        likelihood that brings its own settings.
+    Incompatible
+        If `draws` or `redraw` is given for a likelihood that draws nothing; by `fit`, if the
+        likelihood cannot be fitted with the optimizer, the starts or the effects that are there.
+    SimulationFailed
+        By `fit`, if the simulator diverges where a search of a sampled likelihood begins.
 
     Notes
     -----
@@ -150,6 +167,7 @@ class DROPO(Estimator):
     degrees: float | None = None
     memory: MemorySettings = MEMORY
     noise: Literal["auto", "gaussian"] = "auto"
+    search: SearchSettings = SEARCH
     name = "dropo"
     uses_priors = True
 
@@ -209,7 +227,7 @@ class DROPO(Estimator):
             start_noise = problem.start_noise and not starts_are_rough(problem)
         degrees = problem.noise_degrees if self.degrees is None else self.degrees
         if degrees is None and self.noise == AUTOMATIC and learned and starts_are_rough(problem):
-            degrees = ROUGH_TAILS
+            degrees = self.search.rough.degrees
         return Noise(
             np.asarray(variance, dtype=float),
             learned,
@@ -271,7 +289,7 @@ class DROPO(Estimator):
         is_local = isinstance(likelihood, LocalLikelihood)
         several = is_wide(problem.space) or may_have_several(problem)
         if is_local and several and not unmeasured:
-            elsewhere = best_start(problem, run, mean, search_settings(problem)[1])
+            elsewhere = best_start(problem, run, mean, search_settings(problem, self.search)[1])
             mean = elsewhere.value
             problem = replace(problem, warnings=(*problem.warnings, *elsewhere.warnings))
         mean = np.clip(mean, prior.within.low, prior.within.high)
@@ -340,7 +358,7 @@ class DROPO(Estimator):
         make_optimizer = None
         if self.optimizer:
             make_optimizer = self._local_optimizer(self.optimizer, rng)
-        regions, points = search_settings(problem)
+        regions, points = search_settings(problem, self.search)
 
         def search(
             problem: Problem, noise: Noise, mean: Array, width: Array | None = None
@@ -351,8 +369,10 @@ class DROPO(Estimator):
             return iterations.fit(mean, width)
 
         searched = search_from(problem, run, family, noise, mean, elsewhere, search, points)
-        problem, noise = searched.problem, searched.noise
-        objective, found = searched.objective, searched.found
+        problem = searched.problem
+        noise = searched.noise
+        objective = searched.objective
+        found = searched.found
         if problem.start_noise and not noise.start and starts_are_rough(problem):
             found = replace(found, reason=f"{found.reason} {SMOOTHED}")
 
@@ -378,6 +398,22 @@ class DROPO(Estimator):
                 search, problem, run, family, noise, objective, found
             )
 
+        return self._fit_at_maximum(
+            problem, run, family, objective, found, start_filter=start_filter, rng=rng
+        )
+
+    def _fit_at_maximum(
+        self,
+        problem: Problem,
+        run: Run,
+        family: Family,
+        objective: LocalLogLikelihood,
+        found: SearchResult,
+        *,
+        start_filter: StartFilter | None,
+        rng: np.random.Generator,
+    ) -> Fit:
+        """The fit at a maximum of a local likelihood, with what simulations there say of it."""
         # Where nothing varies, the simulator itself has the last word on the means.
         constant = tuple(parameters_without_spread(family, objective, found.point))
         varying = [name for name in problem.space.names if name not in constant]
@@ -420,7 +456,7 @@ class DROPO(Estimator):
         )
         if fit.status is Status.INTERRUPTED or not starts_are_rough(problem):
             return fit
-        of_step = of_the_physics_step(problem, run, fit, objective, found.point)
+        of_step = of_the_physics_step(problem, run, fit, objective, found.point, self.search.rough)
         return replace(fit, warnings=(*fit.warnings, *of_step))
 
     def _local_optimizer(self, name: str, rng: np.random.Generator) -> MakeOptimizer:
@@ -513,7 +549,7 @@ class DROPO(Estimator):
         try:
             run_fit = likelihood.fit_runs(problem, run, family, noise, mean)
         except SimulationFailed:
-            start = best_start(problem, run, mean, search_settings(problem)[1])
+            start = best_start(problem, run, mean, search_settings(problem, self.search)[1])
             run_fit = likelihood.fit_runs(problem, run, family, noise, start.best)
 
         # The fit, of the rows that start from the states that were found.
@@ -529,10 +565,10 @@ class DROPO(Estimator):
             optimizer="gauss-newton",
         )
 
-        # What the search doubts counts against the model; what it did not reach has no errors.
+        # What the search warns of counts against the model; what it did not reach has no errors.
         check = fit.model_check
-        if run_fit.doubts and check is not None:
-            sentences = (*check.sentences, *run_fit.doubts)
+        if run_fit.warnings and check is not None:
+            sentences = (*check.sentences, *run_fit.warnings)
             check = replace(check, passed=False, sentences=sentences)
         if not run_fit.reached:
             unknown = np.full(len(fit.mean), np.nan)
@@ -542,7 +578,7 @@ class DROPO(Estimator):
         return replace(
             fit,
             model_check=check,
-            warnings=(*fit.warnings, *run_fit.doubts),
+            warnings=(*fit.warnings, *run_fit.warnings),
             epsilon=run_fit.epsilon,
             held_out=held_out_errors(problem, run, fit.mean),
         )

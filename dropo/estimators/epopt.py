@@ -36,7 +36,7 @@ class EPOpt(Estimator):
         In each round; at least 10 for each parameter.
     rounds : int
         At most.
-    least : float
+    effective_fraction : float
         The power grows as far as it leaves this fraction of the particles effective,
         (sum w)^2 / sum w^2.
     tempered : bool
@@ -47,6 +47,12 @@ class EPOpt(Estimator):
     widening : float
         Factor on the particles' covariance in the proposal, whose tails must be wider than its
         target's.
+
+    Raises
+    ------
+    BadArgument
+        If `rounds` is below 1, `effective_fraction` is not in (0, 1), or `widening` is below 1; by
+        `fit`, if there are fewer than 10 particles for each parameter.
 
     Notes
     -----
@@ -63,7 +69,7 @@ class EPOpt(Estimator):
 
     particles: int = 200
     rounds: int = 60
-    least: float = 0.5
+    effective_fraction: float = 0.5
     tempered: bool = True
     epsilon: float | tuple[float, ...] | None = None
     widening: float = 1.5
@@ -72,7 +78,13 @@ class EPOpt(Estimator):
 
     def __post_init__(self) -> None:
         require(self.rounds >= 1, "rounds", "at least 1", self.rounds, "EPOpt")
-        require(0 < self.least < 1, "least", "a fraction in (0, 1)", self.least, "EPOpt")
+        require(
+            0 < self.effective_fraction < 1,
+            "effective_fraction",
+            "a fraction in (0, 1)",
+            self.effective_fraction,
+            "EPOpt",
+        )
         require(self.widening >= 1, "widening", "at least 1", self.widening, "EPOpt")
 
     def _fit(self, problem: Problem, run: Run) -> Fit:
@@ -141,7 +153,7 @@ class EPOpt(Estimator):
         def effective_at(power: float) -> float:
             return _effective(_normalize(power * log_likelihood + log_ratio))
 
-        wanted = min(self.least * self.particles, 0.9 * effective_at(before))
+        wanted = min(self.effective_fraction * self.particles, 0.9 * effective_at(before))
         if effective_at(1.0) >= wanted:
             return 1.0
         exponent = brentq(

@@ -34,19 +34,20 @@ class RoundSettings:
     Attributes
     ----------
     margin : float
-        The next box extends beyond the draws by this fraction of their own range, and ...
+        The next box extends beyond the draws by this fraction of their own range, and by `edge`.
     edge : float
-        ... by this fraction of the box before.
+        The next box extends further by this fraction of the box before.
     settled : float
         A round whose draws leave more than this fraction of every side of its box ends the search.
     step : float
         Half width of the differences behind the slopes, as a fraction of the box.
     minimum_simulations : int
-        That must not diverge in a round.
+        So many simulations of a round must not diverge.
     batch : int
         Parameter vectors that are simulated at once: all rows of all signals are kept.
     learning_rate : float
-        Of the network: small ones take six times what sbi gives large ones.
+        Step of the optimizer that trains the network: small networks take six times what sbi gives
+        large ones.
     """
 
     margin: float = 0.25
@@ -91,6 +92,15 @@ class NPE(Estimator):
         The noise variance, one or for each signal [signal unit^2]. None: the problem's own, else
         what least squares leaves.
     settings : RoundSettings
+
+    Raises
+    ------
+    MissingPackage
+        If torch or sbi is missing.
+    UnknownName
+        If there is no such `density` or `summary`.
+    BadArgument
+        If `simulations` is below 50, `rounds` below 1, or `draws` below 100.
 
     References
     ----------

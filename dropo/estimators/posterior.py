@@ -42,9 +42,11 @@ class DrawSettings:
     r_hat : float
         Largest split R-hat before draws are used.
     effective_sample_size : float
-        Least effective sample size.
-    kept_draws, kept_numbers : int
-        The log-likelihoods of the rows are kept of at most so many draws, and so many numbers.
+        Smallest effective sample size before draws are used.
+    kept_draws : int
+        The log-likelihoods of the rows are kept of at most so many draws.
+    kept_numbers : int
+        At most so many of these numbers are kept, rows times draws.
 
     References
     ----------
@@ -94,6 +96,14 @@ class Posterior(Estimator):
         Where walkers begin on likelihoods that are not local: a least-squares estimate, the middle
         of the box, or values as `DROPO` takes them.
     settings : DrawSettings
+
+    Raises
+    ------
+    UnknownName
+        If `over` or a named `start` is none of the above; by `fit`, if there is no likelihood,
+        family or sampler of that name, or a prior is of an unknown that does not exist.
+    BadArgument
+        If `epsilon` is another text than "learn", or a value of `start` is no finite number.
     """
 
     over: Literal["parameters", "distribution"] = "parameters"
@@ -266,30 +276,15 @@ class Posterior(Estimator):
         notes: list[str],
     ) -> Fit:
         """The fit of the draws, with what speaks against them."""
-        d = len(problem.space)
-        values = draws.flat()
-        centre = target.unknowns.from_unit(target.unknowns.to_unit(values).mean(axis=0))
-        if self._of_parameters:
-            phi, centre[:d] = _gaussian(family, values[:, :d])
-            mean_se = family.sd(phi)
-            scale_se = np.full(d, np.nan)
-        else:
-            phi = centre[: len(family.unknowns)]
-            sd = dict(zip(draws.names, values.std(axis=0), strict=True))
-            mean_se = np.array([sd.get(f"mean.{name}", np.nan) for name in problem.space.names])
-            scale_se = np.array([sd.get(f"scale.{name}", np.nan) for name in problem.space.names])
-
+        centre, phi = self._centre(problem, family, target, draws)
+        mean_se, scale_se = self._errors(problem, family, draws, phi)
         with run.counting(evaluations=1):
             log_likelihood = float(target.many(centre[None])[0])
             predicted = target.mean(centre)
         targets = problem.simulator.targets(problem.segments)
         sentences, diagnostics = evaluate_draws(draws, self.settings)
         notes = [*draws.notes, *sentences, *notes]
-        end = "see the warnings." if notes else "the walkers agree."
-        status = Status.OUT_OF_BUDGET if notes else Status.CONVERGED
-        if draws.interrupted:
-            status = Status.INTERRUPTED
-            end = f"interrupted, these are the draws so far: {end}"
+        status, end = _end(draws, bool(notes))
         posterior = PosteriorDraws(
             over=self.over,
             unknowns=tuple(draws.names),
@@ -320,11 +315,36 @@ class Posterior(Estimator):
             failed_simulations=0,
             objective_evaluations=0,
             status=status,
-            message=f"{len(values)} draws: {end}",
+            message=f"{len(draws.flat())} draws: {end}",
             warnings=(*problem.warnings, *notes, *at_bounds(family.unknowns, phi)),
             posterior=posterior,
         )
         return with_model_check(problem, run, fit)
+
+    def _centre(
+        self, problem: Problem, family: Family, target: Target, draws: Draws
+    ) -> tuple[Array, Array]:
+        """The unknowns (m,) in the middle of the draws, and the family's member there."""
+        d = len(problem.space)
+        values = draws.flat()
+        centre = target.unknowns.from_unit(target.unknowns.to_unit(values).mean(axis=0))
+        if self._of_parameters:
+            phi, centre[:d] = _gaussian(family, values[:, :d])
+        else:
+            phi = centre[: len(family.unknowns)]
+        return centre, phi
+
+    def _errors(
+        self, problem: Problem, family: Family, draws: Draws, phi: Array
+    ) -> tuple[Array, Array]:
+        """Standard errors (d,) of the means and of the scales, by the draws."""
+        names = problem.space.names
+        if self._of_parameters:
+            return family.sd(phi), np.full(len(names), np.nan)
+        sd = dict(zip(draws.names, draws.flat().std(axis=0), strict=True))
+        mean_se = np.array([sd.get(f"mean.{name}", np.nan) for name in names])
+        scale_se = np.array([sd.get(f"scale.{name}", np.nan) for name in names])
+        return mean_se, scale_se
 
     def _row_log_likelihood(self, draws: Draws, target: Target, rows: int) -> Array | None:
         """(S, W, R) of a local model, if it is small enough to keep."""
@@ -333,6 +353,14 @@ class Posterior(Estimator):
         if not isinstance(target, Local) or not small:
             return None
         return target.rows(draws.flat()).reshape(*draws.log_density.shape, -1)
+
+
+def _end(draws: Draws, has_notes: bool) -> tuple[Status, str]:
+    """How sampling ended, and the same in words."""
+    end = "see the warnings." if has_notes else "the walkers agree."
+    if draws.interrupted:
+        return Status.INTERRUPTED, f"interrupted, these are the draws so far: {end}"
+    return Status.OUT_OF_BUDGET if has_notes else Status.CONVERGED, end
 
 
 def _sample(

@@ -20,6 +20,7 @@ from dropo.core.services.errors import Incompatible
 from dropo.core.services.tables import number, text_table
 from dropo.core.services.validation import Array, known
 from dropo.estimators.dropo import DROPO
+from dropo.estimators.support.rough_starts import SEARCH, SearchSettings
 from dropo.evaluation.variance_components import variance_component_tests
 
 
@@ -61,9 +62,23 @@ class RandomEffects(Estimator):
         "truncated_gaussian": its spreads need 2 groups, however many parameters there are, as each
         is fitted on its own. "full": its covariance needs more groups than parameters, else it is
         singular.
-    epsilon, start, start_noise
-        As those of `DROPO`.
+    epsilon : float, tuple of float, "learn", "tune" or None
+        The noise variance, one or for each signal [signal unit^2], as that of `DROPO`.
+    start : {"middle", "least-squares", "random"}, mapping, sequence of float or Fit
+        Where the search of the population's mean begins, as that of `DROPO`.
+    start_noise : bool or None
+        Whether the measured start states carry the noise too; None: as the problem says.
     settings : GroupSettings
+        What counts as a difference between groups, and as too few data for one.
+    search : SearchSettings
+        How the likelihood is searched, as that of `DROPO`.
+
+    Raises
+    ------
+    UnknownName
+        If `family`, or a named `start` or `epsilon`, is none of those that it may be.
+    Incompatible
+        By `fit`, if the data are one group, or too few groups for a full covariance.
 
     Notes
     -----
@@ -81,6 +96,7 @@ class RandomEffects(Estimator):
     start: Start = "middle"
     start_noise: bool | None = None
     settings: GroupSettings = field(default_factory=GroupSettings)
+    search: SearchSettings = SEARCH
     name = "random-effects"
     uses_priors = True
 
@@ -94,6 +110,7 @@ class RandomEffects(Estimator):
             "epsilon": self.epsilon,
             "start": self.start,
             "start_noise": self.start_noise,
+            "search": self.search,
         }
         return _Population(
             likelihood="random-effects", family=self.family, settings=self.settings, **further

@@ -34,10 +34,12 @@ class TemperatureSettings:
 
     Attributes
     ----------
-    lowest, highest : float
-        In units of the standard deviation of the costs.
+    lowest : float
+        The coldest temperature, in units of the standard deviation of the costs.
+    highest : float
+        The hottest one, in the same units.
     count : int
-        How many, with equal ratios.
+        So many are tried, with equal ratios.
     """
 
     lowest: float = 1e-6
@@ -80,6 +82,15 @@ class SimOpt(InteractiveEstimator):
     draws : int
         By which the log-likelihood is estimated.
     temperatures : TemperatureSettings
+
+    Raises
+    ------
+    Incompatible
+        Without `collect`.
+    BadArgument
+        If `collect` cannot be called, `iterations` or `updates` is below 1, `bound` is not above 0,
+        a weight is negative or both are 0, or `spread` is not in (0, 0.5]; by `fit`, if there are
+        fewer than 4 samples for each parameter.
 
     Notes
     -----

@@ -27,6 +27,11 @@ class UniformRandomization(Estimator):
         From it, by which the log-likelihood is estimated: at the problem's epsilon, else at the
         variance of the residuals.
 
+    Raises
+    ------
+    BadArgument
+        If `count` is below 1, or `which` is not from 0 to `count` - 1.
+
     References
     ----------
     Tiboni 2021, section 6.1.

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from dropo.core.contracts.estimator import Estimator
 from dropo.core.contracts.problem import Problem
-from dropo.core.records.independent_units import MANY
+from dropo.core.records.independent_units import SETTINGS
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.trajectories import Ints, Trajectories
 from dropo.core.services.errors import DropoError, SimulationFailed
@@ -201,11 +201,11 @@ def _new_groups(group: Ints, piece: Ints) -> Ints:
 def _pieces(problem: Problem) -> tuple[list[Ints], str]:
     """The rows of each piece, and what pieces are."""
     data = problem.trajectories
-    if len(data.spans) >= MANY:
+    if len(data.spans) >= SETTINGS.many:
         return [np.arange(start, stop) for start, stop in data.spans], "trajectories"
     if data.group is not None:
         groups = np.unique(data.group)
-        if len(groups) >= MANY:
+        if len(groups) >= SETTINGS.many:
             return [np.flatnonzero(data.group == group) for group in groups], "groups"
     length = max(problem.horizon, int(np.ceil(5 * len(data) ** (1 / 3))))
     blocks = []

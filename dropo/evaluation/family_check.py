@@ -36,7 +36,7 @@ class FamilyCheckSettings:
         Between two clusters there are fewer groups than this fraction of those in the same span
         around the middle of either.
     rounds : int
-        Of the expectation-maximisation by which a correlation is estimated.
+        Rounds of the expectation-maximisation by which a correlation is estimated.
     named : int
         Groups named in a sentence, at most.
     """
@@ -349,12 +349,12 @@ def _covariance(sample: _Sample, rounds: int) -> Array:
     """The population's covariance (d, d) with correlations, by expectation-maximisation."""
     spread = sample.spread
     eye = np.eye(len(spread))
-    told = np.einsum("gde,ge->gd", sample.precision, sample.deviation)
-    told = told + sample.deviation / np.diagonal(spread)  # G (xi_hat - mean)
+    weighted = np.einsum("gde,ge->gd", sample.precision, sample.deviation)
+    weighted = weighted + sample.deviation / np.diagonal(spread)  # G (xi_hat - mean)
     shift = np.zeros(len(spread))
     for _ in range(rounds):
         posterior = np.linalg.solve(eye + spread @ sample.precision, spread)
-        away = np.einsum("gde,ge->gd", posterior, told - sample.precision @ shift)
+        away = np.einsum("gde,ge->gd", posterior, weighted - sample.precision @ shift)
         shift = shift + away.mean(axis=0)
         away = away - away.mean(axis=0)
         spread = np.einsum("gd,ge->de", away, away) / len(away) + posterior.mean(axis=0)

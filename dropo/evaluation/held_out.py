@@ -29,19 +29,20 @@ class HeldOutSettings:
     Attributes
     ----------
     horizons : tuple of int
-        After how many control steps a diagnosis gives errors.
+        Control steps after which a diagnosis gives errors.
     maximum : int
-        Windows of one horizon, at most.
+        So many windows of one horizon are taken at most.
     maximum_steps : int
-        Control steps in all windows of one horizon, at most ...
+        The windows of one horizon have so many control steps in all at most, unless they were then
+        fewer than `minimum`.
     minimum : int
-        ... but no fewer windows than these, as far as the data have them.
+        So many windows of one horizon are taken at least, as far as the data have them.
     fewest : int
-        Windows below which a diagnosis gives no errors of a horizon.
+        With fewer windows of a horizon a diagnosis gives no errors of it.
     blocks : int
-        Blocks of time that few trajectories are cut into, of which every other one is held out.
+        Few trajectories are cut into so many blocks of time, of which every other one is held out.
     few_trajectories : int
-        Number of trajectories below which blocks of time take their place.
+        With fewer trajectories blocks of time are held out in the place of whole trajectories.
     least_variance : float
         Fraction of a signal's variance that counts as motion however large its noise is.
     """
@@ -56,7 +57,18 @@ class HeldOutSettings:
     least_variance: float = 1e-3
 
     def count(self, horizon: int) -> int:
-        """Return how many windows of a horizon are taken, where there are so many."""
+        """Return how many windows of a horizon are taken, where there are so many.
+
+        Parameters
+        ----------
+        horizon : int
+            Control steps in a window.
+
+        Returns
+        -------
+        int
+            As many as `maximum_steps` allow, from `minimum` to `maximum`.
+        """
         return max(self.minimum, min(self.maximum, self.maximum_steps // horizon))
 
 
@@ -112,7 +124,18 @@ def held_out_part(
 
 
 def whole_part(data: Trajectories) -> DataPart:
-    """Return all of the data, in blocks that are trajectories."""
+    """Return all of the data, in blocks that are trajectories.
+
+    Parameters
+    ----------
+    data : Trajectories
+        N rows.
+
+    Returns
+    -------
+    DataPart
+        With every row chosen.
+    """
     return DataPart(data, data.trajectory, np.ones(len(data), dtype=bool))
 
 
@@ -163,7 +186,20 @@ def window_starts(part: DataPart, horizon: int, stride: int = 1) -> Ints:
 
 
 def thin(starts: Ints, count: int) -> Ints:
-    """Return at most `count` of the rows (W,), evenly spread."""
+    """Return some of the rows, evenly spread.
+
+    Parameters
+    ----------
+    starts : (W,) array of int
+        The rows.
+    count : int
+        At most so many are left.
+
+    Returns
+    -------
+    array of int
+        The first and the last row are among them if any is left out.
+    """
     if len(starts) <= count:
         return starts
     return starts[np.linspace(0, len(starts) - 1, count).round().astype(np.int64)]
@@ -307,7 +343,20 @@ def errors_of(
 
 
 def rms_by_unit(signals: Sequence[Signal], squares: Array) -> dict[str, float]:
-    """Return the root of the mean of squares (p,) over the signals of each unit; "-": of none."""
+    """Return root mean squares over the signals of each unit.
+
+    Parameters
+    ----------
+    signals : sequence of Signal
+        The p signals.
+    squares : (p,) array
+        Mean squared error of each, in squared units.
+
+    Returns
+    -------
+    dict of str to float
+        By unit, in that unit; "-" is for signals without one.
+    """
     units = [signal.unit or "-" for signal in signals]
     found = {}
     for unit in dict.fromkeys(units):
@@ -317,9 +366,19 @@ def rms_by_unit(signals: Sequence[Signal], squares: Array) -> dict[str, float]:
 
 
 def rms_of_motion(squares: Array, spread: Array) -> float:
-    """Return the root of the mean of squares (p,) in units of each signal's spread (p,).
+    """Return the root mean square in units of each signal's motion.
 
-    Signals that do not vary, of spread 0, do not count; NaN where none varies.
+    Parameters
+    ----------
+    squares : (p,) array
+        Mean squared error of each signal, in squared units.
+    spread : (p,) array
+        How much each signal varies, in its unit; those of spread 0 do not count.
+
+    Returns
+    -------
+    float
+        A pure number; NaN where no signal varies.
     """
     varies = spread > 0
     if not varies.any():
@@ -375,7 +434,18 @@ def noise_free_spread(
 
 
 def stated_noise(problem: Problem) -> Array:
-    """Return the noise variance (p,) that a problem states, 0 where it states none."""
+    """Return the noise variances that a problem states.
+
+    Parameters
+    ----------
+    problem : Problem
+        Its `epsilon` may be a number, one a signal, or None.
+
+    Returns
+    -------
+    (p,) array
+        In squared signal units; 0 where none is stated.
+    """
     stated = 0.0 if problem.epsilon is None else np.asarray(problem.epsilon, dtype=float)
     return np.broadcast_to(stated, (len(problem.simulator.signals),))
 

@@ -61,11 +61,11 @@ def identify(problem: Problem, fit: Fit, settings: IdentifiabilitySettings = SET
     """
     _, jacobian = problem.simulator.linearize(fit.mean, problem.segments)
     directions = null_directions(problem.space, jacobian, fit.epsilon, settings)
-    sentences = blind_spots(problem, fit.mean, jacobian, directions, settings)
+    sentences = describe_not_identifiable(problem, fit.mean, jacobian, directions, settings)
     return [*sentences, *_bounds(problem.space, fit.mean, settings)]
 
 
-def blind_spots(
+def describe_not_identifiable(
     problem: Problem,
     mean: Array,
     jacobian: KeptRows,
@@ -93,13 +93,13 @@ def blind_spots(
         As of `identify`.
     """
     return [
-        *undetermined(problem.space, mean, directions, settings),
+        *describe_directions(problem.space, mean, directions, settings),
         *_signals(problem, jacobian),
         *_actions(problem),
     ]
 
 
-def undetermined(
+def describe_directions(
     space: ParameterSpace,
     mean: Array,
     directions: Sequence[Array],
@@ -195,11 +195,11 @@ def null_directions(
 
     # Single parameters without information.
     size = np.diagonal(information)
-    told = size > max(of_prior, settings.rounding * float(size.max(initial=0.0)))
-    directions = list(np.eye(len(space))[~told])
+    has_information = size > max(of_prior, settings.rounding * float(size.max(initial=0.0)))
+    directions = list(np.eye(len(space))[~has_information])
 
     # Combinations of the others.
-    rest = np.flatnonzero(told)
+    rest = np.flatnonzero(has_information)
     if len(rest) < 2:
         return directions
     values, vectors = np.linalg.eigh(information[np.ix_(rest, rest)])

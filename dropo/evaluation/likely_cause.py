@@ -23,13 +23,13 @@ class LikelyCauseSettings:
     effects : tuple of str
         The effects that first models lack most often, at every place; commands together.
     segments : int
-        About how many segments are simulated ...
+        About so many segments are simulated for each trial, if `steps` allows it.
     steps : int
-        ... with about so many control steps in all, at most.
+        The simulated segments have about so many control steps in all, at most.
     places : int
         Trials at most; beyond them, every second or third place is left out.
     share : float
-        What an effect explains at least of the residuals' mean square.
+        An effect is named that explains at least this fraction of the residuals' mean square.
     outlier : float
         Standard deviations at which a residual is cut.
     factor : float

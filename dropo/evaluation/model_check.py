@@ -31,7 +31,7 @@ class ModelCheckSettings:
     Attributes
     ----------
     level : float
-        False alarms of each test, over all of its signals and features.
+        The probability of a false alarm in each test, over all of its signals and features.
     large : float
         Size of the residuals (as a variance) from which it is reported: 5 % of a standard error.
     noisy : float
@@ -44,22 +44,22 @@ class ModelCheckSettings:
     blocks : int
         Blocks of time, where trajectories are few.
     own : float
-        Least share of a feature beside what parameters explain: below it, its rest is mostly
-        noise.
+        A feature counts if at least this fraction of it is beside what parameters explain: else its
+        rest is mostly noise.
     rounding : float
-        Residuals below this share of the signal are no evidence ...
+        Residuals below this fraction of the signal are no evidence.
     faint : float
-        ... nor are those below this share of the noise.
+        Residuals below this fraction of the noise are no evidence either.
     lost : float
-        Residuals of this share of a signal's variance, which are smooth, have lost the motion.
+        Smooth residuals of this fraction of a signal's variance have lost the motion.
     smooth : float
-        Correlation of successive residuals from which they are smooth.
+        Residuals are smooth if the correlation of successive ones is at least this.
     rows : int
-        Of more rows, about so many are tested for structure: stretches in time, all over the data.
+        Of more rows about so many are tested for structure, in stretches of time all over the data.
     stretches : int
-        How many stretches.
+        The rows that are tested are so many stretches of time.
     regression : ResidualTestSettings
-        Of the regression on state and command.
+        How the residuals are regressed on state and command.
     """
 
     level: float = 0.001

@@ -15,8 +15,24 @@ from dropo.core.services.errors import Incompatible
 from dropo.core.services.registry import find
 from dropo.core.services.validation import Array, known, require
 
-WIDTH = 3.5
-"""Standard errors to either side of the estimate that a profile covers, by default."""
+
+@dataclass(frozen=True)
+class ProfileSettings:
+    """How far a profile goes where its caller does not say.
+
+    Attributes
+    ----------
+    width : float
+        It covers so many standard errors to either side of the estimate.
+    points : int
+        It is computed at so many values of each parameter.
+    """
+
+    width: float = 3.5
+    points: int = 21
+
+
+SETTINGS = ProfileSettings()
 
 
 @dataclass(frozen=True)
@@ -107,11 +123,11 @@ def profile(
     fit: Fit,
     parameters: tuple[str, ...],
     *,
-    points: int = 21,
+    points: int = SETTINGS.points,
     likelihood: LocalLikelihood | None = None,
     epsilon: Epsilon | None = None,
     rng: np.random.Generator | int | None = 0,
-    width: float = WIDTH,
+    width: float = SETTINGS.width,
 ) -> Profile:
     """Compute the profile log-likelihood of the means of one or two parameters.
 

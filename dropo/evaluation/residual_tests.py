@@ -28,11 +28,13 @@ class ResidualTestSettings:
 
     Attributes
     ----------
-    smallest_penalty, largest_penalty : float
-        Ends of the logarithmic grid of ridge penalties that generalised cross-validation chooses
-        from.
+    smallest_penalty : float
+        Lower end of the logarithmic grid of ridge penalties from which generalised cross-validation
+        chooses.
+    largest_penalty : float
+        Upper end of that grid.
     penalties : int
-        Number of penalties.
+        The grid has so many penalties.
     fourier_features : int
         Random features of a Gaussian kernel [1]_.
     cut : float
@@ -131,8 +133,17 @@ def predictability(
 
 
 def normal_score(sums: Array) -> Array:
-    """Return the normal scores (k,) of t-tests that block sums (B, k) have mean 0; 0 where they do
-    not vary.
+    """Return the normal scores of t-tests that block sums have mean 0.
+
+    Parameters
+    ----------
+    sums : (B, k) array
+        Sums of B blocks in k columns.
+
+    Returns
+    -------
+    (k,) array
+        Standard normal under the hypothesis; 0 where a column does not vary.
     """
     count = len(sums)
     error = sums.std(axis=0, ddof=1) * np.sqrt(count)
@@ -142,7 +153,20 @@ def normal_score(sums: Array) -> Array:
 
 
 def score_of_t(t: Array, degrees: Array | float) -> Array:
-    """Return the standard normal quantiles (k,) that are as unlikely as t statistics (k,)."""
+    """Return the standard normal numbers that are as unlikely as t statistics.
+
+    Parameters
+    ----------
+    t : (k,) array
+        Student t statistics.
+    degrees : (k,) array or float
+        Their degrees of freedom.
+
+    Returns
+    -------
+    (k,) array
+        With the signs of `t`.
+    """
     tail = np.maximum(student_tail(np.abs(t), degrees), 1e-300)
     return np.asarray(np.sign(t) * normal_of_tail(tail))
 

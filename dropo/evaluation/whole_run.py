@@ -19,9 +19,10 @@ class RunSettings:
     Attributes
     ----------
     steps : int
-        Control steps at most, from the run's first one ...
+        So many control steps are kept at most, from the run's first one.
     numbers : int
-        ... and steps times signals at most, so that what is kept of a large robot stays small.
+        So many numbers, steps times signals, are kept at most, so that what is kept of a large
+        robot stays small.
     """
 
     steps: int = 12_000

@@ -16,7 +16,25 @@ WAIT = 20
 
 @contextmanager
 def dask(place: str) -> Iterator[Executor]:
-    """A Dask scheduler, as in dask://host:8786; without an address, processes of this machine."""
+    """A Dask scheduler, as in dask://host:8786; without an address, processes of this machine.
+
+    Parameters
+    ----------
+    place : str
+        Address of a scheduler, such as "host:8786"; "" for processes of this machine.
+
+    Yields
+    ------
+    concurrent.futures.Executor
+        Of a client that is closed in the end.
+
+    Raises
+    ------
+    MissingPackage
+        If the package distributed is missing.
+    DropoError
+        If no scheduler answers at the address.
+    """
     need("distributed", extra="dask", caller="The executor 'dask'")
     distributed: Any = importlib.import_module("distributed")
     with ExitStack() as opened:
@@ -35,7 +53,25 @@ def dask(place: str) -> Iterator[Executor]:
 
 @contextmanager
 def ray(place: str) -> Iterator[Executor]:
-    """A Ray cluster, as in ray://host:10001; without an address, processes of this machine."""
+    """A Ray cluster, as in ray://host:10001; without an address, processes of this machine.
+
+    Parameters
+    ----------
+    place : str
+        Address of a cluster, such as "host:10001"; "" for processes of this machine.
+
+    Yields
+    ------
+    concurrent.futures.Executor
+        Ray is shut down in the end.
+
+    Raises
+    ------
+    MissingPackage
+        If the package ray is missing.
+    DropoError
+        If no cluster answers at the address.
+    """
     need("ray", extra="ray", caller="The executor 'ray'")
     import ray as package
 
@@ -64,7 +100,22 @@ class RayExecutor(Executor):
         self._max_workers = int(package.cluster_resources().get("CPU", 1))
 
     def submit(self, call: Callable[..., Any], /, *args: Any, **options: Any) -> Future[Any]:
-        """Run a call on a worker of the cluster."""
+        """Run a call on a worker of the cluster.
+
+        Parameters
+        ----------
+        call : callable
+            What runs there; Ray pickles it.
+        *args : Any
+            Its arguments.
+        **options : Any
+            Its arguments by name.
+
+        Returns
+        -------
+        concurrent.futures.Future
+            What the call gives, or the error that it ends in.
+        """
         future: Future[Any] = self._task.remote(call, args, options).future()
         return future
 

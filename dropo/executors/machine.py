@@ -19,7 +19,23 @@ LEFT_ALONE = (signal.signal, (signal.SIGINT, signal.SIG_IGN))
 
 @contextmanager
 def threads(place: str) -> Iterator[Executor]:
-    """Threads of this process; a number behind the name, or one for each core."""
+    """Threads of this process; a number behind the name, or one for each core.
+
+    Parameters
+    ----------
+    place : str
+        How many; "" for one for each core.
+
+    Yields
+    ------
+    concurrent.futures.Executor
+        It is closed in the end.
+
+    Raises
+    ------
+    BadArgument
+        If the place is no whole number above 0.
+    """
     pool = DaemonThreads(_number(place, "threads"), "executor")
     try:
         yield pool
@@ -31,7 +47,23 @@ def threads(place: str) -> Iterator[Executor]:
 
 @contextmanager
 def processes(place: str) -> Iterator[Executor]:
-    """Processes of this machine; a number behind the name, or one for each core."""
+    """Processes of this machine; a number behind the name, or one for each core.
+
+    Parameters
+    ----------
+    place : str
+        How many; "" for one for each core.
+
+    Yields
+    ------
+    concurrent.futures.Executor
+        A pool that is made anew when a worker dies; it is closed in the end.
+
+    Raises
+    ------
+    BadArgument
+        If the place is no whole number above 0.
+    """
     number = _number(place, "processes")
     fresh = multiprocessing.get_context("spawn")
     with _closed(partial(ProcessPoolExecutor, number, fresh, *LEFT_ALONE)) as pool:
@@ -40,7 +72,25 @@ def processes(place: str) -> Iterator[Executor]:
 
 @contextmanager
 def joblib(place: str) -> Iterator[Executor]:
-    """Processes of joblib's pool, loky; a number behind the name, or one for each core."""
+    """Processes of joblib's pool, loky; a number behind the name, or one for each core.
+
+    Parameters
+    ----------
+    place : str
+        How many; "" for one for each core.
+
+    Yields
+    ------
+    concurrent.futures.Executor
+        A pool that is made anew when a worker dies; it is closed in the end.
+
+    Raises
+    ------
+    MissingPackage
+        If joblib is missing.
+    BadArgument
+        If the place is no whole number above 0.
+    """
     need("joblib", extra="joblib", caller="The executor 'joblib'")
     from joblib.externals.loky import ProcessPoolExecutor as Loky
 

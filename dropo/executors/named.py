@@ -61,7 +61,22 @@ class WithPlugins(Executor):
         self._max_workers = getattr(executor, "_max_workers", 0)
 
     def submit(self, call: Callable[..., Any], /, *args: Any, **options: Any) -> Future[Any]:
-        """Run a call on a worker; what it needs of plug-ins is there before it is unpickled."""
+        """Run a call on a worker; what it needs of plug-ins is there before it is unpickled.
+
+        Parameters
+        ----------
+        call : callable
+            What runs there; it is pickled with its arguments.
+        *args : Any
+            Its arguments.
+        **options : Any
+            Its arguments by name.
+
+        Returns
+        -------
+        concurrent.futures.Future
+            What the call gives, or the error that it ends in.
+        """
         files = {str(path): path.read_bytes() for path in loaded_files()}
         return self.executor.submit(_run, files, pickle.dumps((call, args, options)))
 

@@ -39,13 +39,36 @@ class Restarting(Executor):
         self._max_workers = getattr(self._pool, "_max_workers", 0)
 
     def submit(self, call: Callable[..., Any], /, *args: Any, **options: Any) -> Future[Any]:
-        """Run a call on a worker; it must be one that may run twice."""
+        """Run a call on a worker, and once more where the worker dies.
+
+        Parameters
+        ----------
+        call : callable
+            One that may run twice.
+        *args : Any
+            Its arguments.
+        **options : Any
+            Its arguments by name.
+
+        Returns
+        -------
+        concurrent.futures.Future
+            What the call gives, or the error that it ends in.
+        """
         answer: Future[Any] = Future()
         self._start(answer, partial(call, *args, **options))
         return answer
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Close the pool; with `cancel_futures`, calls that have not begun are not made."""
+        """Close the pool.
+
+        Parameters
+        ----------
+        wait : bool
+            Whether to wait until its workers have ended.
+        cancel_futures : bool
+            Whether calls that have not begun are not made.
+        """
         self._losses = MOST_LOSSES
         for future in list(self._open) if cancel_futures else ():
             future.cancel()

@@ -34,7 +34,30 @@ WORDS = {"account": "slurm_account", "qos": "slurm_qos", "constraint": "slurm_co
 
 @contextmanager
 def slurm(place: str) -> Iterator[Executor]:
-    """Jobs of SLURM, as in slurm:PARTITION,time=60,mem=4,cpus=1,jobs=256 (minutes, GB, at once)."""
+    """Jobs of SLURM, as in slurm:PARTITION,time=60,mem=4,cpus=1,jobs=256 (minutes, GB, at once).
+
+    Parameters
+    ----------
+    place : str
+        "PARTITION,time=60,mem=4,cpus=1,jobs=256" [minutes, GB, cores, jobs at a time], of which all
+        but the partition may be left out; also account, qos and constraint.
+
+    Yields
+    ------
+    concurrent.futures.Executor
+        Jobs that are left in the end are cancelled.
+
+    Raises
+    ------
+    MissingPackage
+        If submitit is missing.
+    BadArgument
+        If the place has no partition, or a setting has no valid value.
+    UnknownName
+        If there is no setting of that name.
+    DropoError
+        If there is no sbatch or no srun on the path.
+    """
     need("submitit", extra="slurm", caller="The executor 'slurm'")
     import submitit
 
@@ -82,13 +105,37 @@ class SlurmExecutor(Executor):
         self._keeper.start()
 
     def submit(self, call: Callable[..., Any], /, *args: Any, **options: Any) -> Future[Any]:
-        """Run a call in a job of its own."""
+        """Run a call in a job of its own, gathered with others into an array of jobs.
+
+        Parameters
+        ----------
+        call : callable
+            What runs there; submitit pickles it.
+        *args : Any
+            Its arguments.
+        **options : Any
+            Its arguments by name.
+
+        Returns
+        -------
+        concurrent.futures.Future
+            What the call gives, or the error that it ends in; a `DropoError` where SLURM refuses
+            the job or loses it too often.
+        """
         answer: Future[Any] = Future()
         self._waiting.put(Call(answer, call, args, options))
         return answer
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Stop looking after jobs; with `cancel_futures`, SLURM cancels those that are left."""
+        """Stop looking after jobs.
+
+        Parameters
+        ----------
+        wait : bool
+            It is not looked at: the call waits as long as `cancel_futures` says.
+        cancel_futures : bool
+            Whether SLURM cancels the jobs that are left; else their end is awaited.
+        """
         if not cancel_futures:
             while self._running or not self._waiting.empty():
                 time.sleep(GATHER)
@@ -147,7 +194,8 @@ class SlurmExecutor(Executor):
                 self._waiting.put(call)
                 return
             said = f"Job {job.job_id} was lost {call.starts} times: {_last_line(lost)}"
-            value, error = None, DropoError(said)
+            value = None
+            error = DropoError(said)
         if error is None:
             call.answer.set_result(value)
         else:

@@ -6,7 +6,7 @@ from typing import Any
 
 from dropo.core.contracts.effect import EffectInstance
 from dropo.core.services.validation import Array
-from dropo.exports.subject import Subject, Written, effects_left_out
+from dropo.exports.support.subject import Subject, Written, effects_left_out
 from dropo.mjmodel.drives import drives_of
 
 ACTUATORS = ("mx64", "mx106", "xl320", "xl330", "xc330m288t", "erob80_50", "erob80_100", "sts3215")
@@ -21,6 +21,21 @@ REFERENCE_SPEED = 0.5
 def bam(subject: Subject) -> Written:
     """Parameter files of BAM, one for each servo: model m1, or m2 where its friction falls with
     speed.
+
+    Parameters
+    ----------
+    subject : Subject
+        The robot at its means; only its actuated joints are written.
+
+    Returns
+    -------
+    Written
+        One JSON file a joint, with what BAM has no number for among `left_out`.
+
+    References
+    ----------
+    M. Duclusaud, G. Passault, V. Padois and O. Ly, "Extended friction models for the physics
+    simulation of servo actuators", 2025.
     """
     files: dict[str, str | bytes] = {}
     held = set()
@@ -49,7 +64,7 @@ def bam(subject: Subject) -> Written:
         "Torque constant kt and resistance R are left out: a model of joints does not tell them, "
         "and BAM takes those of its actuator."
     )
-    if subject.law is not None:
+    if subject.distribution is not None:
         left_out.append("Spreads are left out: BAM holds one number of each parameter.")
     if unknown:
         left_out.append(

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from dropo.core.contracts.effect import EffectInstance
 from dropo.core.services.errors import Incompatible
-from dropo.exports.subject import Subject, Written
+from dropo.exports.support.subject import Subject, Written
 
 FILE = '''"""A law found in data, as an effect: at every place that has its variables.
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from dropo._version import __version__
 from dropo.core.services.strict_yaml import format_yaml
-from dropo.exports.subject import (
+from dropo.exports.support.subject import (
     NO_SPREAD,
     CannotHold,
     Number,
@@ -44,13 +44,24 @@ Terms draw once for each environment. Written by dropo {version} from {name!r}.
 
 
 def isaac_lab(subject: Subject) -> Written:
-    """Event terms and actuator settings of Isaac Lab as YAML."""
+    """Event terms and actuator settings of Isaac Lab as YAML.
+
+    Parameters
+    ----------
+    subject : Subject
+        The robot at its means; event terms are written only where it has a distribution.
+
+    Returns
+    -------
+    Written
+        The file isaac_lab.yaml and the MJCF at the means, with what Isaac Lab has no setting for.
+    """
     drives = drives_of(subject.model)
     approximated = list(subject.approximated)
     delays, others = delays_of(subject, drives, approximated)
     left_out = effects_left_out(others, "Isaac Lab has no setting for it")
     events: dict[str, Any] = {}
-    if subject.law is None:
+    if subject.distribution is None:
         left_out.append(NO_SPREAD)
     else:
         events = _events(subject, drives, left_out, approximated)
@@ -67,31 +78,31 @@ def _events(
     subject: Subject, drives: list[Drive], left_out: list[str], approximated: list[str]
 ) -> dict[str, Any]:
     """The event terms by parameter."""
-    law = subject.law
-    assert law is not None
+    distribution = subject.distribution
+    assert distribution is not None
     numbers, others = subject.probed
     left_out += others_left_out(subject, others)
-    exact = law.kind == "normal" and not law.logarithmic
+    exact = distribution.kind == "normal" and not distribution.logarithmic
     if not exact:
-        kind = "log-normal" if law.logarithmic else law.kind
+        kind = "log-normal" if distribution.logarithmic else distribution.kind
         approximated.append(
             f"Isaac Lab knows normal and uniform distributions, and the fit is {kind}: terms have "
             "its means and standard deviations."
         )
-    if law.together:
+    if distribution.together:
         approximated.append(
             "Parameters are drawn independently: terms of Isaac Lab hold no correlations."
         )
     events: dict[str, Any] = {}
-    for name in law.names:
+    for name in distribution.names:
         own = [one for one in numbers if one.parameter == name]
         if own:
             try:
                 events[_identifier(name)] = _event(subject, drives, own)
             except CannotHold as error:
                 left_out.append(f"The spread of {name} is left out: {error}")
-    uniform = [name for name in law.names if _is_uniform(events.get(_identifier(name)))]
-    if uniform and law.kind != "uniform":
+    uniform = [name for name in distribution.names if _is_uniform(events.get(_identifier(name)))]
+    if uniform and distribution.kind != "uniform":
         approximated.append(
             f"Uniform, with their standard deviations: {', '.join(uniform)}. Isaac Lab scales "
             "static, dynamic and viscous friction by draws of one range, and moves centres of mass "

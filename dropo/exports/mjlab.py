@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 from dropo._version import __version__
-from dropo.exports.law import REDRAWS, Law
-from dropo.exports.subject import (
+from dropo.exports.support.distribution import REDRAWS, FittedDistribution
+from dropo.exports.support.subject import (
     NO_SPREAD,
     CannotHold,
     Number,
@@ -120,20 +120,32 @@ class Term:
 
 
 def mjlab(subject: Subject) -> Written:
-    """Event terms of mjlab, one for each parameter, with its functions for domain randomization."""
+    """Event terms of mjlab, one for each parameter, with its functions for domain randomization.
+
+    Parameters
+    ----------
+    subject : Subject
+        The robot at its means; event terms are written only where it has a distribution.
+
+    Returns
+    -------
+    Written
+        The file of events and actuators and the MJCF at the means, with what mjlab has no setting
+        for among `left_out`.
+    """
     drives = drives_of(subject.model)
     approximated = list(subject.approximated)
     delays, others = delays_of(subject, drives, approximated)
     left_out = effects_left_out(others, "mjlab has no setting for it")
     terms = ""
-    if subject.law is None:
+    if subject.distribution is None:
         left_out.append(NO_SPREAD)
     else:
-        terms = _terms(subject, subject.law, left_out, approximated)
-    law = subject.law
+        terms = _terms(subject, subject.distribution, left_out, approximated)
+    distribution = subject.distribution
     code = CODE.format(
-        kind=law.kind if law else "normal",
-        logarithmic=bool(law and law.logarithmic),
+        kind=distribution.kind if distribution else "normal",
+        logarithmic=bool(distribution and distribution.logarithmic),
         redraws=REDRAWS,
         actuators=_actuators(drives, delays),
         terms=terms,
@@ -155,9 +167,11 @@ def _actuators(drives: list[Drive], delays: dict[str, int]) -> str:
     return text
 
 
-def _terms(subject: Subject, law: Law, left_out: list[str], approximated: list[str]) -> str:
+def _terms(
+    subject: Subject, distribution: FittedDistribution, left_out: list[str], approximated: list[str]
+) -> str:
     """The entries of EVENTS."""
-    if law.together:
+    if distribution.together:
         approximated.append(
             "Parameters are drawn independently: terms of mjlab hold no correlations."
         )
@@ -165,7 +179,7 @@ def _terms(subject: Subject, law: Law, left_out: list[str], approximated: list[s
     left_out += others_left_out(subject, others)
     text = ""
     gains: list[str] = []
-    for i, name in enumerate(law.names):
+    for i, name in enumerate(distribution.names):
         own = [one for one in numbers if one.parameter == name]
         if not own:
             continue
@@ -174,17 +188,19 @@ def _terms(subject: Subject, law: Law, left_out: list[str], approximated: list[s
         except CannotHold as error:
             left_out.append(f"The spread of {name} is left out: {error}")
             continue
-        text += _event(law, i, term)
+        text += _event(distribution, i, term)
     return text
 
 
-def _event(law: Law, i: int, term: Term) -> str:
+def _event(distribution: FittedDistribution, i: int, term: Term) -> str:
     """An entry of EVENTS."""
-    scale = float((law.factor[i] ** 2).sum() ** 0.5)
-    bounds = [repr(float(x)).replace("inf", "INF") for x in (law.lower[i], law.upper[i])]
-    given = [repr(float(x)) for x in (law.centre[i], scale, law.error[i])]
+    scale = float((distribution.factor[i] ** 2).sum() ** 0.5)
+    bounds = [
+        repr(float(x)).replace("inf", "INF") for x in (distribution.lower[i], distribution.upper[i])
+    ]
+    given = [repr(float(x)) for x in (distribution.centre[i], scale, distribution.error[i])]
     return (
-        f"    {law.names[i]!r}: EventTermCfg(\n"
+        f"    {distribution.names[i]!r}: EventTermCfg(\n"
         f"        func=dr.{term.function},\n"
         '        mode="reset",\n'
         "        params={\n"
@@ -233,12 +249,16 @@ def _ranges(subject: Subject, numbers: list[Number]) -> str:
     mean = subject.mean(one.parameter)
     if len(numbers) == 1:
         offset = one.mean - one.slope * mean
-        ranges = (offset if abs(offset) > DISTINCT * abs(one.mean) else 0.0, one.slope)
+        if abs(offset) <= DISTINCT * abs(one.mean):
+            offset = 0.0
+        ranges = (offset, one.slope)
         return f'            "ranges": {ranges!r},\n            "operation": "abs",\n'
     if all(abs(x.slope - one.slope) <= DISTINCT * abs(one.slope) for x in numbers):
-        operation, ranges = "add", (-one.slope * mean, one.slope)
+        operation = "add"
+        ranges = (-one.slope * mean, one.slope)
     elif all(abs(x.mean - x.slope * mean) <= DISTINCT * abs(x.mean) for x in numbers):
-        operation, ranges = "scale", (0.0, 1 / mean)
+        operation = "scale"
+        ranges = (0.0, 1 / mean)
     else:
         raise CannotHold(APART)
     return (

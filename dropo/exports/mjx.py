@@ -4,8 +4,8 @@ from collections import defaultdict
 from typing import Any
 
 from dropo._version import __version__
-from dropo.exports.law import REDRAWS, Law
-from dropo.exports.subject import (
+from dropo.exports.support.distribution import REDRAWS, FittedDistribution
+from dropo.exports.support.subject import (
     NO_SPREAD,
     Number,
     Subject,
@@ -130,34 +130,46 @@ def domain_randomize(model, rng):
 
 
 def mjx(subject: Subject) -> Written:
-    """A function domain_randomize(model, rng) for MuJoCo Playground, and for batches in MJX."""
+    """A function domain_randomize(model, rng) for MuJoCo Playground, and for batches in MJX.
+
+    Parameters
+    ----------
+    subject : Subject
+        The robot at its means; the function is written only where it has a distribution.
+
+    Returns
+    -------
+    Written
+        The file domain_randomize.py and the MJCF at the means, with the effects that are no numbers
+        of a model among `left_out`.
+    """
     left_out = effects_left_out(subject.around, "the function sets numbers of a model alone")
-    if subject.law is None:
+    if subject.distribution is None:
         return Written({}, (*left_out, NO_SPREAD), (), subject.older_xml)
     numbers, others = subject.probed
     left_out += others_left_out(subject, others)
     remarks = remarks_of(left_out, subject.approximated)
     header = HEADER.format(version=__version__, name=subject.name, remarks=remarks)
-    text = header + _code(subject, subject.law, numbers)
+    text = header + _code(subject, subject.distribution, numbers)
     files: dict[str, str | bytes] = {"domain_randomize.py": text}
     return Written(files, tuple(left_out), subject.approximated, subject.older_xml)
 
 
-def _code(subject: Subject, law: Law, numbers: list[Number]) -> str:
+def _code(subject: Subject, distribution: FittedDistribution, numbers: list[Number]) -> str:
     """The functions, with the numbers of the distribution."""
     return CODE.format(
-        names=law.names,
-        kind=law.kind,
-        logarithmic=law.logarithmic,
-        centre=_list(law.centre),
-        factor=_list(law.factor),
-        error=_list(law.error),
-        lower=_list(law.lower),
-        upper=_list(law.upper),
-        together=law.together,
+        names=distribution.names,
+        kind=distribution.kind,
+        logarithmic=distribution.logarithmic,
+        centre=_list(distribution.centre),
+        factor=_list(distribution.factor),
+        error=_list(distribution.error),
+        lower=_list(distribution.lower),
+        upper=_list(distribution.upper),
+        together=distribution.together,
         mean=_list(subject.values),
         redraws=REDRAWS,
-        numbers=_table(subject, law, numbers),
+        numbers=_table(subject, distribution, numbers),
     )
 
 
@@ -166,15 +178,15 @@ def _list(array: Any) -> str:
     return repr(array.tolist()).replace("inf", "np.inf")
 
 
-def _table(subject: Subject, law: Law, numbers: list[Number]) -> str:
+def _table(subject: Subject, distribution: FittedDistribution, numbers: list[Number]) -> str:
     """The entries of NUMBERS: all parameters of a number together."""
     slopes: dict[tuple[str, tuple[int, ...]], list[float]] = defaultdict(
-        lambda: [0.0] * len(law.names)
+        lambda: [0.0] * len(distribution.names)
     )
     named = {}
     for one in numbers:
         key = (one.field, one.place)
-        slopes[key][law.names.index(one.parameter)] += one.slope
+        slopes[key][distribution.names.index(one.parameter)] += one.slope
         named[key] = one
     text = ""
     for field in dict.fromkeys(field for field, _ in slopes):

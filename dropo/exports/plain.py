@@ -11,7 +11,7 @@ import numpy as np
 from dropo._version import __version__
 from dropo.core.services.source_text import SourceText
 from dropo.core.services.validation import Array
-from dropo.exports.subject import (
+from dropo.exports.support.subject import (
     NO_SPREAD,
     Subject,
     Written,
@@ -37,8 +37,8 @@ Written by dropo {version} from {name!r}.
 {remarks}"""
 
 '''
-FUNCTIONS = '''LAW = %s
-RECIPE = %s
+FUNCTIONS = '''DISTRIBUTION = %s
+WRITER = %s
 
 
 def load():
@@ -52,14 +52,14 @@ def load():
 
 def randomize(model, rng):
     """Draw parameters with a numpy Generator, set them in the model, and return them by name."""
-    values = LAW.sample(1, rng)[0]
-    RECIPE.write(model, values)
-    return dict(zip(LAW.names, values.tolist()))
+    values = DISTRIBUTION.sample(1, rng)[0]
+    WRITER.write(model, values)
+    return dict(zip(DISTRIBUTION.names, values.tolist()))
 '''
 
 
 @dataclass(frozen=True, eq=False)
-class Recipe:
+class ParameterWriter:
     """How parameters (d,) are set in a model.
 
     Attributes
@@ -86,7 +86,15 @@ class Recipe:
     count: int
 
     def write(self, model: mujoco.MjModel, values: Array) -> None:
-        """Set parameters (d,), and the constants that MuJoCo derives."""
+        """Set parameters in a model, then compute the constants that MuJoCo derives from them.
+
+        Parameters
+        ----------
+        model : mujoco.MjModel
+            The model, which is changed.
+        values : (d,) array
+            Parameters in their units, in the order of the simulator's space.
+        """
         own = values[: self.count]
         for function, columns, sizes in self.declared:
             own = function(own, values[list(columns)] if columns else sizes)
@@ -106,7 +114,19 @@ class Recipe:
 
 
 def set_number(model: mujoco.MjModel, field: str, place: tuple[int, ...], number: float) -> None:
-    """Set a number of a model, or of its options where the field begins with opt."""
+    """Set one number of a model.
+
+    Parameters
+    ----------
+    model : mujoco.MjModel
+        The model, which is changed.
+    field : str
+        An array of the model, or an entry of its options with "opt." before it.
+    place : tuple of int
+        Where in the array; of an option that is a single number, it is not read.
+    number : float
+        The number, in the field's unit.
+    """
     owner = model.opt if field.startswith("opt.") else model
     name = field.removeprefix("opt.")
     if isinstance(getattr(owner, name), np.ndarray):
@@ -119,12 +139,22 @@ def mujoco_python(subject: Subject) -> Written:
     """Plain MJCF at the means, with a Python file that draws parameters and sets them in the model.
 
     The robot with all effects beside the model, such as delays, is in model.py.
+
+    Parameters
+    ----------
+    subject : Subject
+        The robot at its means; randomize.py is written only where it has a distribution.
+
+    Returns
+    -------
+    Written
+        The files model.py, model.npz and randomize.py, and the MJCF at the means.
     """
     simulator = subject.simulator
     plain = mujoco.MjModel.from_xml_string(subject.xml)
     files: dict[str, str | bytes] = {}
     left_out = []
-    if subject.law is not None:
+    if subject.distribution is not None:
         left_out += _constant(subject)
         files["randomize.py"] = _randomizing(subject, left_out)
     else:
@@ -152,11 +182,13 @@ def _constant(subject: Subject) -> list[str]:
         "has it at its mean."
         for instance, _ in subject.effects
         for name in [one.name for one in instance.parameters]
-        if subject.law is not None and name in subject.law.names and instance.model is None
+        if subject.distribution is not None
+        and name in subject.distribution.names
+        and instance.model is None
     ]
 
 
-def recipe_of(subject: Subject) -> Recipe:
+def writer_of(subject: Subject) -> ParameterWriter:
     """Find how the parameters of a subject are set in a plain model.
 
     Parameters
@@ -166,7 +198,7 @@ def recipe_of(subject: Subject) -> Recipe:
 
     Returns
     -------
-    Recipe
+    ParameterWriter
     """
     simulator = subject.simulator
     count = len(simulator.bindings)
@@ -190,7 +222,7 @@ def recipe_of(subject: Subject) -> Recipe:
             if (field, place) not in taken:
                 base.append((field, place, float(numbers[place])))
     declared = _hooks(subject, "declared")
-    return Recipe(tuple(base), tuple(follows), tuple(keeps), declared, changes, count)
+    return ParameterWriter(tuple(base), tuple(follows), tuple(keeps), declared, changes, count)
 
 
 def _hooks(subject: Subject, name: str) -> tuple[Any, ...]:
@@ -209,14 +241,14 @@ def _hooks(subject: Subject, name: str) -> tuple[Any, ...]:
 
 def _randomizing(subject: Subject, left_out: Sequence[str]) -> str:
     """The text of randomize.py."""
-    recipe = recipe_of(subject)
-    functions = [change[0] for change in (*recipe.declared, *recipe.changes)]
+    writer = writer_of(subject)
+    functions = [change[0] for change in (*writer.declared, *writer.changes)]
     modules = {getattr(one, "func", one).__module__ for one in functions}
     source = SourceText(modules)
     source.imports |= {"from pathlib import Path", "import mujoco", "import numpy as np"}
-    law = source.expression(subject.law)
-    written = source.expression(recipe)
+    distribution = source.expression(subject.distribution)
+    written = source.expression(writer)
     source.expression(write_numbers)
     remarks = remarks_of(left_out, subject.approximated)
     header = HEADER.format(version=__version__, name=subject.name, remarks=remarks)
-    return header + "\n\n\n".join([source.text(), FUNCTIONS % (law, written)])
+    return header + "\n\n\n".join([source.text(), FUNCTIONS % (distribution, written)])

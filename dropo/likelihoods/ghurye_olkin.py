@@ -14,7 +14,7 @@ from dropo.core.contracts.simulator import Simulator
 from dropo.core.numerics.array_api import namespace
 from dropo.core.records.trajectories import Segments
 from dropo.core.services.validation import Array, require
-from dropo.likelihoods.monte_carlo import (
+from dropo.likelihoods.support.sample_moments import (
     cholesky_rows,
     log_determinant,
     sample_moments,

@@ -41,12 +41,13 @@ class ModeSettings:
     reach : float
         An emulator is sound within this multiple of its width: about as far as its design reaches.
     own_width : float
-        An emulator of a group's own is at least as wide as so many standard deviations of the
-        group's parameters, ...
+        The emulator of one group alone is at least as wide as so many standard deviations of the
+        group's parameters.
     followed_move : float
-        ... as this fraction of its centre's last move, ...
+        It is at least as wide as this fraction of the last move of its centre.
     least_own_width : float
-        ... and as this fraction of the population's emulator, which is the widest.
+        It is at least as wide as this fraction of the population's emulator, which is the widest
+        that it may be.
     settled_move : float
         Where the mode is within this fraction of the last width of its centre, the next width is at
         most half of the last.

@@ -37,7 +37,7 @@ from dropo.likelihoods.support.runs.linearization import (
     linearize_windows,
 )
 from dropo.likelihoods.support.runs.noise_levels import (
-    NoiseLaw,
+    NoiseDistribution,
     NoiseSettings,
     RestrictedEstimates,
     white,
@@ -71,39 +71,46 @@ class TrajectorySettings:
         known so well that a link adds little, and the linearization no longer holds.
     start_step : float
         Half width of the differences in starts, as a fraction of each coordinate's spread.
-    value_step, least_value_step : float
-        The same of the parameters, as a fraction of their intervals: at first, and at least; in
-        between, a standard error.
+    value_step : float
+        Half width of the first differences in the parameters, as a fraction of their intervals, and
+        the largest one later: then it is a standard error.
+    least_value_step : float
+        Smallest half width of the later ones, as a fraction of the intervals.
     prior_spread : float
         A start is within this many spreads of its coordinate from its first guess.
     longest : float
         Longest step of a parameter, as a fraction of its interval.
-    rounds : int
-        Linearizations at most.
+    outer_iterations : int
+        So many linearizations are made at most.
     halvings : int
         How often a step is halved that leads away from the measurements.
     close : float
         Noise is looked into from where no parameter moves by more standard errors than this.
     settled : float
-        The end: no parameter moves by more standard errors than this.
+        The search ends where no parameter moves by more standard errors than this.
     worse : float
         A step is halved that costs more than this [nats].
-    spread_rounds : int
-        Turns at most in which every group is linearized at its own parameters.
+    spread_iterations : int
+        So many iterations are made at most in which every group is linearized at its own
+        parameters.
     settled_mode : float
-        They end where no group's parameter moves by more of its standard errors.
+        These iterations end where no group's parameter moves by more of its standard errors.
     spread_gain : float
         A spread between groups is kept where it raises the log-likelihood by more than this [nats].
-    stuck, stuck_level : float
-        A window is stuck where its mean squared residual is this many times the noise's, and so
-        large with this probability only.
-    most_stuck : float
-        Share of windows that are stuck above which the search did not reach the measurements.
-    astray, astray_z : float
-        The model is wrong where what is new at an instant is this many times as large along whole
-        runs as within windows of their own, and by so many standard errors.
-    slow_round : float
-        The first round that takes longer is told [s].
+    stuck : float
+        A window may be stuck where its mean squared residual is this many times the noise's.
+    stuck_level : float
+        It is stuck where noise makes it so large with this probability only.
+    largest_stuck : float
+        The search did not reach the measurements where more than this fraction of the windows is
+        stuck.
+    excess : float
+        The model may be wrong where what is new at an instant is this many times as large along
+        whole runs as within windows of their own.
+    excess_z : float
+        The model is wrong where it is larger by so many standard errors, too.
+    slow_iteration : float
+        The first outer iteration that takes longer is told [s].
     """
 
     window: int = 20
@@ -113,20 +120,20 @@ class TrajectorySettings:
     least_value_step: float = 1e-5
     prior_spread: float = 10.0
     longest: float = 0.25
-    rounds: int = 30
+    outer_iterations: int = 30
     halvings: int = 5
     close: float = 1.0
     settled: float = 0.02
     worse: float = 1.0
-    spread_rounds: int = 6
+    spread_iterations: int = 6
     settled_mode: float = 0.1
     spread_gain: float = 2.0
     stuck: float = 2.0
     stuck_level: float = 1e-3
-    most_stuck: float = 0.05
-    astray: float = 1.15
-    astray_z: float = 5.0
-    slow_round: float = 30.0
+    largest_stuck: float = 0.05
+    excess: float = 1.15
+    excess_z: float = 5.0
+    slow_iteration: float = 30.0
 
 
 @dataclass(frozen=True)
@@ -180,7 +187,7 @@ class Trajectory(RunLikelihood):
         place, found = search.run(run, mean)
         if found.status is not Status.INTERRUPTED:
             place, found = search.with_spread(run, place, found, family)
-        return search.fit(problem, family, search.look_of(place), found)
+        return search.fit(problem, family, search.linearized_at(place), found)
 
     def bind(
         self,
@@ -220,7 +227,7 @@ class Trajectory(RunLikelihood):
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """Where the search is: parameters (d,), window starts (N, s), windows, noise law.
+    """Where the search is: parameters (d,), window starts (N, s), windows, their noise.
 
     Where groups differ, own are the parameters of each (G, d).
     """
@@ -228,12 +235,12 @@ class _State:
     value: Array
     starts: Array
     windows: Windows
-    law: NoiseLaw
+    noise: NoiseDistribution
     own: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
-class _Look:
+class _Linearized:
     """A state linearized: its columns, and its pieces without their starts."""
 
     state: _State
@@ -248,25 +255,25 @@ class _Look:
 
 @dataclass(frozen=True, eq=False)
 class _Place:
-    """How a look was made, so that it can be made again: its state as it was looked at, the half
-    widths of its differences in parameters (d,), and the noise law that was found there.
+    """How a state was linearized, so that it can be done again: the state before, the half
+    widths of the differences in parameters (d,), and the noise that was found there.
     """
 
     state: _State
     value_step: Array
-    law: NoiseLaw
+    noise: NoiseDistribution
 
 
 @dataclass(frozen=True, eq=False)
 class _Position:
-    """What the next round needs: the state to look at, the step (d,) behind the best look that led
-    there and which share of it, how often noise was looked into, the half widths (d,) of the next
-    differences, the best look so far, and the sentence in which the search ended, if it has.
+    """What the next outer iteration needs: its state, the step (d,) from the best one that led
+    there and which fraction of it, how often noise was looked into, the half widths (d,) of the
+    next differences, the best state so far, and the sentence in which the search ended, if it has.
     """
 
     state: _State
     step: Array
-    share: float
+    fraction: float
     chosen: int
     value_step: Array
     best: _Place | None
@@ -274,7 +281,7 @@ class _Position:
 
 
 ENDS = ("", SETTLED, STALLED)
-"""How a round may leave the search, by the number in its record."""
+"""How an outer iteration may leave the search, by the number in its record."""
 GOES_ON, IS_SETTLED, IS_DONE = range(3)
 """The numbers of a turn's record: groups move still, they do not, or their simulations diverge."""
 
@@ -309,10 +316,10 @@ class _Search:
         self.width = simulator.space.high - simulator.space.low
         self.value_step = self.settings.value_step * self.width
         self.prior = MeanPrior({}, simulator.space)
-        self.law: NoiseLaw | None = None
+        self.noise: NoiseDistribution | None = None
         self.given = False
         self.degrees: float | None = None
-        self._last_look: tuple[_Place, _Look] | None = None
+        self._last: tuple[_Place, _Linearized] | None = None
         self._told = False
 
     # --- what is given
@@ -330,18 +337,18 @@ class _Search:
         if self.given:
             model = model.positive("Trajectory")
         self.degrees = model.noise.degrees
-        self.law = white(np.sqrt(np.maximum(model.shape[own], 1e-300)), self.degrees)
+        self.noise = white(np.sqrt(np.maximum(model.shape[own], 1e-300)), self.degrees)
 
     def first(self, value: Array) -> _State:
         """The state in which the search begins: measured starts."""
-        assert self.law is not None
+        assert self.noise is not None
         count = len(self.first_windows.segments)
         starts = np.zeros((count, int(self.observed.state.sum())))
-        return _State(value, starts, self.first_windows, self.law)
+        return _State(value, starts, self.first_windows, self.noise)
 
-    # --- one round
+    # --- one outer iteration
 
-    def look(self, state: _State, value_step: Array | None = None) -> _Look:
+    def linearize(self, state: _State, value_step: Array | None = None) -> _Linearized:
         """Linearize a state, by differences in parameters of the first half widths or of others
         (d,); count its simulations with those of the problem's simulator.
         """
@@ -363,31 +370,31 @@ class _Search:
                 self.simulator.steps += whole.steps - before[0]
                 self.simulator.failures += whole.failures - before[1]
         state = replace(state, windows=windows)
-        return _Look(state, columns, self._condense(columns, state))
+        return _Linearized(state, columns, self._condense(columns, state))
 
     def _condense(self, columns: Columns, state: _State) -> Condensed:
         """The pieces without their starts."""
         opening = np.flatnonzero(state.windows.depth == 0)
-        return condense(columns, state.law, self.start_prior, state.starts[opening])
+        return condense(columns, state.noise, self.start_prior, state.starts[opening])
 
-    def with_noise(self, look: _Look, *, choose: bool) -> _Look:
+    def with_noise(self, linearized: _Linearized, *, choose: bool) -> _Linearized:
         """The same with noise levels as the residuals have them."""
         if self.given:
-            return look
+            return linearized
         prior = np.concatenate([self.start_prior, self.width**-2.0])
-        estimates = RestrictedEstimates(look.columns, prior, self.noise_settings)
-        law = look.state.law
+        estimates = RestrictedEstimates(linearized.columns, prior, self.noise_settings)
+        noise = linearized.state.noise
         if choose:
-            law = estimates.choose(white(law.sd)) if self.degrees is None else law
-        law = estimates.levels(law)
-        state = replace(look.state, law=law)
-        return replace(look, state=state, condensed=self._condense(look.columns, state))
+            noise = estimates.choose(white(noise.sd)) if self.degrees is None else noise
+        noise = estimates.levels(noise)
+        state = replace(linearized.state, noise=noise)
+        return replace(linearized, state=state, condensed=self._condense(linearized.columns, state))
 
-    def step_of(self, look: _Look) -> Array:
+    def step_of(self, linearized: _Linearized) -> Array:
         """(d,) the Gauss-Newton step of the parameters, within their box."""
-        value = look.state.value
-        information = look.information + np.diag(self.prior.information(value))
-        score = look.condensed.scores.sum(axis=0) + self.prior.score(value)
+        value = linearized.state.value
+        information = linearized.information + np.diag(self.prior.information(value))
+        score = linearized.condensed.scores.sum(axis=0) + self.prior.score(value)
         size = np.sqrt(np.maximum(np.diagonal(information), 1e-300))
         scaled = information / np.outer(size, size) + 1e-12 * np.eye(len(size))
         root = np.linalg.cholesky(scaled).T
@@ -399,47 +406,49 @@ class _Search:
         high = np.maximum(high, low + 1e-12 * np.maximum(np.abs(low), 1e-30))
         return np.asarray(lsq_linear(root, right, (low, high)).x / size)
 
-    def moved(self, look: _Look, step: Array, share: float = 1.0) -> _State:
-        """The state behind a share of a step (d,), with the starts that go with it."""
-        windows = look.state.windows
+    def shifted(self, linearized: _Linearized, step: Array, fraction: float = 1.0) -> _State:
+        """The state behind a fraction of a step (d,), with the starts that go with it."""
+        windows = linearized.state.windows
         starts = self._start_steps(
-            look, np.broadcast_to(step, (len(windows.pieces.spans), len(step)))
+            linearized, np.broadcast_to(step, (len(windows.pieces.spans), len(step)))
         )
         value = np.clip(
-            look.state.value + share * step, self.prior.within.low, self.prior.within.high
+            linearized.state.value + fraction * step, self.prior.within.low, self.prior.within.high
         )
-        return replace(look.state, value=value, starts=look.state.starts + share * starts)
+        return replace(
+            linearized.state, value=value, starts=linearized.state.starts + fraction * starts
+        )
 
-    def _start_steps(self, look: _Look, steps: Array) -> Array:
+    def _start_steps(self, linearized: _Linearized, steps: Array) -> Array:
         """(N, s) steps of all window starts that go with the pieces' parameters' (P, d)."""
-        condensed = look.condensed
-        columns = look.columns
+        condensed = linearized.condensed
+        columns = linearized.columns
         follow = (condensed.start_by_value @ steps[:, :, None])[:, :, 0]
-        piece = look.state.windows.piece
+        piece = linearized.state.windows.piece
         own = (condensed.start_step + follow)[piece][:, :, None]
         moved = columns.of_start @ own + columns.of_value @ steps[piece][:, :, None]
         return np.asarray(moved[:, :, 0] + columns.gap)
 
     def advanced(self, state: _State, step: Array) -> _State:
-        """The state behind one round in which the parameters make a given step."""
-        return self.moved(self.look(state), step)
+        """The state behind one outer iteration in which the parameters make a given step."""
+        return self.shifted(self.linearize(state), step)
 
-    def errors(self, look: _Look) -> Array:
+    def errors(self, linearized: _Linearized) -> Array:
         """(d,) standard errors by the information, at most the width of the box."""
-        known = self.width**-2.0 + self.prior.information(look.state.value)
-        information = look.information + np.diag(known)
+        known = self.width**-2.0 + self.prior.information(linearized.state.value)
+        information = linearized.information + np.diag(known)
         return np.sqrt(np.diagonal(np.linalg.inv(information)))
 
     # --- the search
 
     def run(self, run: Run, mean: Array) -> tuple[_Place, SearchResult]:
-        """Rounds until nothing moves, each of them recorded."""
+        """Outer iterations until nothing moves, each of them recorded."""
         self._position = _Position(
             self.first(mean), np.zeros(len(mean)), 1.0, 0, self.value_step, None
         )
         self._count = 0
         try:
-            status, reason = self._rounds(run)
+            status, reason = self._iterations(run)
         except KeyboardInterrupt:
             if self._position.best is None:
                 raise
@@ -447,43 +456,45 @@ class _Search:
         best = self._position.best
         assert best is not None
         count = 0 if status is Status.INTERRUPTED else self._count
-        return best, self._result(self.look_of(best), status, reason, count)
+        return best, self._result(self.linearized_at(best), status, reason, count)
 
-    def look_of(self, place: _Place) -> _Look:
-        """The look that was made at a place, made again, not counted, where it was recorded."""
-        if self._last_look is None or self._last_look[0] is not place:
+    def linearized_at(self, place: _Place) -> _Linearized:
+        """The linearized state of a place, made again, not counted, where it was recorded."""
+        if self._last is None or self._last[0] is not place:
             simulator = self.simulator
             counted = simulator.steps, simulator.failures
-            look = self.look(place.state, place.value_step)
+            linearized = self.linearize(place.state, place.value_step)
             simulator.steps, simulator.failures = counted
-            state = replace(look.state, law=place.law)
-            look = replace(look, state=state, condensed=self._condense(look.columns, state))
-            self._last_look = (place, look)
-        return self._last_look[1]
+            state = replace(linearized.state, noise=place.noise)
+            linearized = replace(
+                linearized, state=state, condensed=self._condense(linearized.columns, state)
+            )
+            self._last = (place, linearized)
+        return self._last[1]
 
-    def _placed(self, state: _State, value_step: Array, look: _Look) -> _Place:
-        """The place of a look at a state, which is remembered."""
-        place = _Place(state, value_step, look.state.law)
-        self._last_look = (place, look)
+    def _placed(self, state: _State, value_step: Array, linearized: _Linearized) -> _Place:
+        """The place of a linearized state, which is remembered."""
+        place = _Place(state, value_step, linearized.state.noise)
+        self._last = (place, linearized)
         return place
 
-    def _rounds(self, run: Run) -> tuple[Status, str]:
+    def _iterations(self, run: Run) -> tuple[Status, str]:
         """The search; how it ended."""
-        while self._count < self.settings.rounds:
-            self._position = self._recorded_round(run, self._position)
+        while self._count < self.settings.outer_iterations:
+            self._position = self._recorded_iteration(run, self._position)
             self._count += 1
             if self._position.ended:
                 return Status.CONVERGED, self._position.ended
             run.progress(min(0.95, self._count / 8), f"round {self._count}, whole runs")
         return Status.OUT_OF_BUDGET, UNSETTLED
 
-    def _recorded_round(self, run: Run, position: _Position) -> _Position:
-        """A round, or its record in the evaluation log.
+    def _recorded_iteration(self, run: Run, position: _Position) -> _Position:
+        """An outer iteration, or its record in the evaluation log.
 
-        A record holds the log-likelihood of the best look, whether this round's look is that, the
-        number of the end, share, chosen, step (d,), half widths (d,), the noise law of the best
-        look (3 m,), and, where the search goes on, the state to look at next. A first look that
-        diverges is one NaN.
+        A record holds the log-likelihood of the best state, whether it is that of this iteration,
+        the number of the end, fraction, chosen, step (d,), half widths (d,), the noise of the best
+        state (3 m,), and, where the search goes on, the next state. A first state that diverges is
+        one NaN.
         """
         reached: _Position | None = None
 
@@ -491,21 +502,21 @@ class _Search:
             nonlocal reached
             begun = time.perf_counter()
             try:
-                reached = self._round(position)
+                reached = self._iteration(position)
             except SimulationFailed:
                 return np.full((1, 1), np.nan)
             assert reached.best is not None
-            value = float(self.look_of(reached.best).condensed.values.sum())
+            value = float(self.linearized_at(reached.best).condensed.values.sum())
             is_best = position.best is None or reached.best.state is not position.best.state
-            law = reached.best.law
-            numbers = [value, is_best, ENDS.index(reached.ended), reached.share, reached.chosen]
+            noise = reached.best.noise
+            numbers = [value, is_best, ENDS.index(reached.ended), reached.fraction, reached.chosen]
             parts: list[Any] = [
                 numbers,
                 reached.step,
                 reached.value_step,
-                law.sd,
-                law.memory,
-                law.degrees,
+                noise.sd,
+                noise.memory,
+                noise.degrees,
             ]
             if not reached.ended:
                 parts.append(self._packed(reached.state))
@@ -516,75 +527,79 @@ class _Search:
         if reached is not None:
             return reached
         if len(record) == 1:
-            self.look(position.state, position.value_step)  # diverges again, and says where
-            raise SimulationFailed("Simulations of a recorded round diverged.")
-        (_, is_best, end, share, chosen), rest = np.split(record, [5])
+            self.linearize(position.state, position.value_step)  # diverges again, and says where
+            raise SimulationFailed("Simulations of a recorded iteration diverged.")
+        (_, is_best, end, fraction, chosen), rest = np.split(record, [5])
         d = len(self.width)
         m = int(self.observed.measured.sum())
         places = np.cumsum([d, d, m, m, m])
         step, value_step, sd, memory, degrees, state = np.split(rest, places)
-        law = NoiseLaw(sd, memory, degrees)
+        noise = NoiseDistribution(sd, memory, degrees)
         if is_best:
-            best = _Place(position.state, position.value_step, law)
+            best = _Place(position.state, position.value_step, noise)
         else:
             assert position.best is not None
-            best = replace(position.best, law=law)
-        following = self._unpacked(state, law) if len(state) else position.state
-        return _Position(following, step, share, int(chosen), value_step, best, ENDS[int(end)])
+            best = replace(position.best, noise=noise)
+        following = self._unpacked(state, noise) if len(state) else position.state
+        return _Position(following, step, fraction, int(chosen), value_step, best, ENDS[int(end)])
 
     def _tell_cost(self, run: Run, seconds: float) -> None:
-        """Tell once that rounds are slow."""
-        if not self._told and seconds > self.settings.slow_round:
+        """Tell once that outer iterations are slow."""
+        if not self._told and seconds > self.settings.slow_iteration:
             self._told = True
             run.progress(0.0, SLOW.format(duration_text(seconds)))
 
-    def _round(self, position: _Position) -> _Position:
-        """Look at the state, and step from there, or half as far from the best look."""
+    def _iteration(self, position: _Position) -> _Position:
+        """Linearize the state, and step from there, or half as far from the best one."""
         settings = self.settings
-        best = None if position.best is None else self.look_of(position.best)
-        look: _Look | None = None
+        best = None if position.best is None else self.linearized_at(position.best)
+        linearized: _Linearized | None = None
         try:
-            look = self.look(position.state, position.value_step)
+            linearized = self.linearize(position.state, position.value_step)
         except SimulationFailed:
             if best is None:
                 raise
-        if best is not None and (look is None or self._is_worse(look, best, position.chosen > 0)):
+        if best is not None and (
+            linearized is None or self._is_worse(linearized, best, position.chosen > 0)
+        ):
             # Further from the measurements than before: half of the step.
             assert position.best is not None
-            share = position.share / 2
-            if share < 0.5**settings.halvings:
+            fraction = position.fraction / 2
+            if fraction < 0.5**settings.halvings:
                 best = self.with_noise(best, choose=position.chosen < 2)
                 place = self._placed(position.best.state, position.best.value_step, best)
                 return replace(position, best=place, ended=STALLED)
-            state = self.moved(best, position.step, share)
-            return replace(position, state=replace(state, law=best.state.law), share=share)
-        assert look is not None
+            state = self.shifted(best, position.step, fraction)
+            return replace(
+                position, state=replace(state, noise=best.state.noise), fraction=fraction
+            )
+        assert linearized is not None
         near = best is not None and bool(
             np.all(np.abs(position.step) < settings.close * self.errors(best))
         )
-        look = self.with_noise(look, choose=near and position.chosen < 2)
-        place = self._placed(position.state, position.value_step, look)
+        linearized = self.with_noise(linearized, choose=near and position.chosen < 2)
+        place = self._placed(position.state, position.value_step, linearized)
         chosen = position.chosen + near
-        step = self.step_of(look)
-        errors = self.errors(look)
+        step = self.step_of(linearized)
+        errors = self.errors(linearized)
         done = bool(np.all(np.abs(step) < settings.settled * errors))
         if done and (chosen >= 2 or (self.given and self._count > 1)):
             return replace(position, best=place, chosen=chosen, ended=SETTLED)
         least = settings.least_value_step * self.width
         value_step = np.clip(errors, least, settings.value_step * self.width)
-        state = self.moved(look, step)
+        state = self.shifted(linearized, step)
         if not near:  # far off, motion may have looked more unstable than it is
             state = replace(state, windows=self.first_windows)
         return _Position(state, step, 1.0, chosen, value_step, place)
 
     def _packed(self, state: _State) -> Array:
-        """A state but for its noise law in a row of numbers."""
+        """A state but for its noise in a row of numbers."""
         own = np.zeros(0) if state.own is None else state.own.ravel()
         cuts = np.flatnonzero(state.windows.cut & ~state.windows.runs.terminals)
         sizes = [len(own), len(cuts)]
         return np.concatenate([sizes, state.value, own, cuts, state.starts.ravel()])
 
-    def _unpacked(self, row: Array, law: NoiseLaw) -> _State:
+    def _unpacked(self, row: Array, noise: NoiseDistribution) -> _State:
         """The state of such a row."""
         d = len(self.width)
         groups, count = (int(size) for size in row[:2])
@@ -598,42 +613,59 @@ class _Search:
             value,
             starts.reshape(len(self.first_windows.segments), -1),
             windows,
-            law,
+            noise,
             own.reshape(-1, d) if groups else None,
         )
 
-    def _is_worse(self, look: _Look, best: _Look, law_is_known: bool) -> bool:
-        """Whether a look is further from the measurements than the best, under the same noise."""
-        if self.given or law_is_known:
-            law = best.state.law
-            lost = log_densities(best.columns, law).sum() - log_densities(look.columns, law).sum()
+    def _is_worse(self, linearized: _Linearized, best: _Linearized, noise_is_known: bool) -> bool:
+        """Whether a state is further from the measurements than the best, under the same noise."""
+        if self.given or noise_is_known:
+            noise = best.state.noise
+            lost = (
+                log_densities(best.columns, noise).sum()
+                - log_densities(linearized.columns, noise).sum()
+            )
         else:
             counts = best.columns.valid.sum(axis=0)
-            ratio = _mean_squares(look.columns) / _mean_squares(best.columns)
+            ratio = _mean_squares(linearized.columns) / _mean_squares(best.columns)
             lost = 0.5 * np.sum(counts * np.log(ratio))
-        lost += self.prior.value(best.state.value) - self.prior.value(look.state.value)
+        lost += self.prior.value(best.state.value) - self.prior.value(linearized.state.value)
         return bool(lost > self.settings.worse)
 
-    def _result(self, look: _Look, status: Status, reason: str, count: int) -> SearchResult:
+    def _result(
+        self, linearized: _Linearized, status: Status, reason: str, count: int
+    ) -> SearchResult:
         """How the search ended; the point is filled in with the family."""
-        value = float(look.condensed.values.sum())
-        return SearchResult(look.state.value, value, count, reason.format(count), status)
+        value = float(linearized.condensed.values.sum())
+        return SearchResult(linearized.state.value, value, count, reason.format(count), status)
 
     # --- the fit
 
-    def objective(self, state: _State, family: Family, look: _Look | None = None) -> RunRows:
+    def objective(
+        self, state: _State, family: Family, linearized: _Linearized | None = None
+    ) -> RunRows:
         """The log-likelihood around a state."""
-        look = look or self.look(state)
-        law = look.state.law
+        linearized = linearized or self.linearize(state)
+        noise = linearized.state.noise
         whitened = None
         if self.given:
-            whitened = whiten(look.columns, law)[~look.columns.first, :, -1]
+            whitened = whiten(linearized.columns, noise)[~linearized.columns.first, :, -1]
         group = _groups(state.windows)
         centre = state.value if state.own is None else state.own
-        own = RunRows(family, look.condensed, look.columns, group, centre, law.variance, whitened)
-        if law.memory.any():
-            slopes, less = profiled(look.columns, whiten(look.columns, law), look.condensed)
-            own.unexplained = (-less * law.sd, slopes * law.sd[:, None])
+        own = RunRows(
+            family,
+            linearized.condensed,
+            linearized.columns,
+            group,
+            centre,
+            noise.variance,
+            whitened,
+        )
+        if noise.memory.any():
+            slopes, less = profiled(
+                linearized.columns, whiten(linearized.columns, noise), linearized.condensed
+            )
+            own.unexplained = (-less * noise.sd, slopes * noise.sd[:, None])
         targets = self.observed.simulator.targets(state.windows.segments)
         own.predicted = own.predicted + targets[:, self.observed.measured]
         return own
@@ -642,41 +674,41 @@ class _Search:
         self, run: Run, place: _Place, found: SearchResult, family: Family
     ) -> tuple[_Place, SearchResult]:
         """The same, with every group linearized at its own parameters, where groups differ."""
-        for turn in range(self.settings.spread_rounds):
-            if turn == 0 and not self._varies(self.look_of(place), family):
+        for turn in range(self.settings.spread_iterations):
+            if turn == 0 and not self._varies(self.linearized_at(place), family):
                 break
             place, outcome = self._recorded_turn(run, place, family, is_first=turn == 0)
             if outcome == IS_SETTLED:
                 count = found.evaluations + turn + 1
-                look = self.look_of(place)
-                return place, self._result(look, Status.CONVERGED, SETTLED_APART, count)
+                linearized = self.linearized_at(place)
+                return place, self._result(linearized, Status.CONVERGED, SETTLED_APART, count)
             if outcome == IS_DONE:
                 break
         return place, found
 
-    def _varies(self, look: _Look, family: Family) -> bool:
+    def _varies(self, linearized: _Linearized, family: Family) -> bool:
         """Whether some parameter differs from group to group by more than its error."""
-        phi = self._member(self.objective(look.state, family, look), family, look)
-        return bool((family.sd(phi[: len(family.unknowns)]) > self.errors(look)).any())
+        phi = self._member(self.objective(linearized.state, family, linearized), family, linearized)
+        return bool((family.sd(phi[: len(family.unknowns)]) > self.errors(linearized)).any())
 
     def _recorded_turn(
         self, run: Run, place: _Place, family: Family, *, is_first: bool
     ) -> tuple[_Place, int]:
         """A turn of the groups, or its record in the evaluation log.
 
-        A record holds the log-likelihood, the outcome, the noise law (3 m,), and the state that was
-        looked at; where simulations diverge, the first two alone.
+        A record holds the log-likelihood, the outcome, the noise (3 m,), and the state before it
+        was linearized; where simulations diverge, the first two alone.
         """
         reached: tuple[_Place, int] | None = None
 
         def evaluate(_: Array) -> Array:
             nonlocal reached
             reached = self._turn(place, family, is_first=is_first)
-            value = float(self.look_of(reached[0]).condensed.values.sum())
-            law = reached[0].law
+            value = float(self.linearized_at(reached[0]).condensed.values.sum())
+            noise = reached[0].noise
             parts: list[Any] = [[value, reached[1]]]
             if reached[1] != IS_DONE:
-                parts += [law.sd, law.memory, law.degrees, self._packed(reached[0].state)]
+                parts += [noise.sd, noise.memory, noise.degrees, self._packed(reached[0].state)]
             return np.concatenate(parts)[None]
 
         record = run.evaluate(place.state.value[None], evaluate)[0]
@@ -687,51 +719,55 @@ class _Search:
             return place, outcome
         m = int(self.observed.measured.sum())
         sd, memory, degrees, state = np.split(record[2:], np.cumsum([m, m, m]))
-        law = NoiseLaw(sd, memory, degrees)
-        # What was looked at still had the law before: it decides nothing of a look.
-        return _Place(self._unpacked(state, law), self._position.value_step, law), outcome
+        noise = NoiseDistribution(sd, memory, degrees)
+        # What was linearized still had the noise before, which decides nothing of it.
+        return _Place(self._unpacked(state, noise), self._position.value_step, noise), outcome
 
     def _turn(self, place: _Place, family: Family, *, is_first: bool) -> tuple[_Place, int]:
         """Every group linearized at its own parameters, and whether they have settled."""
-        look = self.look_of(place)
-        objective = self.objective(look.state, family, look)
-        phi = self._member(objective, family, look)
-        group = _groups(look.state.windows)
+        linearized = self.linearized_at(place)
+        objective = self.objective(linearized.state, family, linearized)
+        phi = self._member(objective, family, linearized)
+        group = _groups(linearized.state.windows)
         modes = objective.modes(phi)
         step = modes - objective.centre
         own = np.exp(modes) if family.logarithmic else modes
         space = self.simulator.space
         own = np.clip(own, space.low, space.high)
-        before = look.state.value if look.state.own is None else look.state.own
-        starts = look.state.starts + self._start_steps(look, (own - before)[group])
+        before = linearized.state.value if linearized.state.own is None else linearized.state.own
+        starts = linearized.state.starts + self._start_steps(linearized, (own - before)[group])
         within = self.prior.within
         mean = np.clip(family.mean(phi[: len(family.unknowns)]), within.low, within.high)
-        state = replace(look.state, value=mean, own=own, starts=starts)
+        state = replace(linearized.state, value=mean, own=own, starts=starts)
         value_step = self._position.value_step
         try:
-            look = self.with_noise(self.look(state, value_step), choose=is_first)
+            linearized = self.with_noise(self.linearize(state, value_step), choose=is_first)
         except SimulationFailed:
             return place, IS_DONE
         known = np.linalg.inv(objective.information + np.diag(self.width**-2.0))
         error = np.sqrt(np.diagonal(known, axis1=1, axis2=2))
         settled = bool((np.abs(step) < self.settings.settled_mode * error).all())
-        return self._placed(state, value_step, look), IS_SETTLED if settled else GOES_ON
+        return self._placed(state, value_step, linearized), IS_SETTLED if settled else GOES_ON
 
-    def fit(self, problem: Problem, family: Family, look: _Look, found: SearchResult) -> RunFit:
+    def fit(
+        self, problem: Problem, family: Family, linearized: _Linearized, found: SearchResult
+    ) -> RunFit:
         """The maximum in the family, and the problem as it was compared."""
-        objective = self.objective(look.state, family, look)
-        phi = self._member(objective, family, look)
+        objective = self.objective(linearized.state, family, linearized)
+        phi = self._member(objective, family, linearized)
         value = objective(phi)
         found = replace(found, point=phi, value=value)
-        windows = look.state.windows
+        windows = linearized.state.windows
         opening = np.flatnonzero(windows.depth == 0)
         rows = windows.segments.steps[opening, 0]
         simulator = FoundStarts(
             self.observed,
             rows,
-            look.state.starts[opening],
-            look.condensed.start_by_value,
-            look.state.value if look.state.own is None else look.state.own[_groups(windows)],
+            linearized.state.starts[opening],
+            linearized.condensed.start_by_value,
+            linearized.state.value
+            if linearized.state.own is None
+            else linearized.state.own[_groups(windows)],
         )
         compared = replace(
             problem,
@@ -749,34 +785,36 @@ class _Search:
             settings={},
         )
         variance = np.zeros(len(self.observed.measured))
-        variance[self.observed.measured] = look.state.law.variance
+        variance[self.observed.measured] = linearized.state.noise.variance
         names = [signal.name for signal in problem.simulator.signals]
         for name, sd in problem.estimated.items():
             variance[names.index(name)] = sd**2
         epsilon = variance[: len(names)]
-        stuck = self._stuck(look)
-        doubts = self._doubts(look)
-        details = self._details(look)
+        stuck = self._stuck(linearized)
+        warnings = self._warnings(linearized)
+        details = self._details(linearized)
         details["trajectory"]["stuck_windows"] = stuck
-        reached = stuck <= self.settings.most_stuck
+        reached = stuck <= self.settings.largest_stuck
         if not reached:
-            doubts = (*doubts, NOT_REACHED.format(stuck))
-        return RunFit(compared, objective, found, epsilon, details, doubts, reached)
+            warnings = (*warnings, NOT_REACHED.format(stuck))
+        return RunFit(compared, objective, found, epsilon, details, warnings, reached)
 
-    def _member(self, objective: RunRows, family: Family, look: _Look) -> Array:
+    def _member(self, objective: RunRows, family: Family, linearized: _Linearized) -> Array:
         """Phi of the maximum: without spreads, but for those that gain enough."""
         unknowns = objective.unknowns
         scales = [i for i, name in enumerate(unknowns.names) if name.startswith("scale.")]
-        low = family.phi(look.state.value, np.zeros(len(look.state.value)))
+        low = family.phi(linearized.state.value, np.zeros(len(linearized.state.value)))
         low = np.clip(low, unknowns.low, unknowns.high)
         plain = low
-        if look.state.own is not None:
+        if linearized.state.own is not None:
             plain = self._maximum(objective, scales, low)
         if not scales or len(objective.scores) < 2:
             return plain
         start = plain.copy()
-        relative = look.state.value if family.logarithmic else np.ones(len(look.state.value))
-        first = np.maximum(3 * self.errors(look), self._scatter(objective)) / relative
+        relative = (
+            linearized.state.value if family.logarithmic else np.ones(len(linearized.state.value))
+        )
+        first = np.maximum(3 * self.errors(linearized), self._scatter(objective)) / relative
         start[scales] = np.clip(first, unknowns.low[scales], unknowns.high[scales])
         found = self._maximum(objective, [], start)
         value = local_with_prior(objective, self.prior)
@@ -801,14 +839,14 @@ class _Search:
             return np.zeros(objective.centre.shape[1])
         return np.asarray(objective.centre.std(axis=0))
 
-    def _stuck(self, look: _Look) -> float:
-        """The share of windows whose residuals are larger than any noise of the law leaves."""
-        law = look.state.law
-        columns = look.columns
-        residual = whiten(columns, law)[:, :, -1]
-        finite = np.isfinite(law.degrees)
+    def _stuck(self, linearized: _Linearized) -> float:
+        """The fraction of windows whose residuals are larger than the noise explains."""
+        noise = linearized.state.noise
+        columns = linearized.columns
+        residual = whiten(columns, noise)[:, :, -1]
+        finite = np.isfinite(noise.degrees)
         tails = np.clip(
-            student_below(residual, np.where(finite, law.degrees, 5.0)), 1e-15, 1 - 1e-15
+            student_below(residual, np.where(finite, noise.degrees, 5.0)), 1e-15, 1 - 1e-15
         )
         scores = np.where(finite, -normal_of_tail(tails), residual)
         squares = np.where(columns.valid, scores**2, 0.0).sum(axis=1)
@@ -818,25 +856,25 @@ class _Search:
         unlikely = chi2_tail(total, np.maximum(count, 1)) < self.settings.stuck_level
         return float(np.mean(far & unlikely))
 
-    def _doubts(self, look: _Look) -> tuple[str, ...]:
+    def _warnings(self, linearized: _Linearized) -> tuple[str, ...]:
         """A sentence where runs stray from the measurements further than noise explains.
 
         Noise is what windows with a start of their own leave, which hardly see a wrong model.
         """
-        windows = look.state.windows
+        windows = linearized.state.windows
         if self.given or len(windows.segments) < 2 * len(windows.pieces.spans):
             return ()
-        columns = look.columns.unlinked()
+        columns = linearized.columns.unlinked()
         estimates = RestrictedEstimates(columns, self.start_prior, self.noise_settings)
-        law = look.state.law
+        noise = linearized.state.noise
         if self.degrees is None:
-            within = estimates.choose(white(law.news))
+            within = estimates.choose(white(noise.news))
         else:
-            within = estimates.levels(white(law.news, self.degrees))
-        ratio = law.news / within.news
+            within = estimates.levels(white(noise.news, self.degrees))
+        ratio = noise.news / within.news
         z = np.log(ratio) * np.sqrt(2 * columns.valid.sum(axis=0))
         worst = int(np.argmax(ratio))
-        if ratio[worst] <= self.settings.astray or z[worst] <= self.settings.astray_z:
+        if ratio[worst] <= self.settings.excess or z[worst] <= self.settings.excess_z:
             return ()
         name = self.observed.simulator.signals[np.flatnonzero(self.observed.measured)[worst]].name
         return (
@@ -844,17 +882,17 @@ class _Search:
             f" as the noise that it has within {windows.length} steps",
         )
 
-    def _details(self, look: _Look) -> dict[str, Any]:
+    def _details(self, linearized: _Linearized) -> dict[str, Any]:
         """What fit.json says of runs, starts and noise."""
-        law = look.state.law
-        windows = look.state.windows
+        noise = linearized.state.noise
+        windows = linearized.state.windows
         signals = np.array(self.observed.simulator.signals, dtype=object)[self.observed.measured]
-        noise = {}
+        by_signal = {}
         for j, signal in enumerate(signals):
-            degrees = float(law.degrees[j])
-            noise[signal.name] = {
-                "sd": float(law.sd[j]),
-                "correlation": float(law.memory[j]),
+            degrees = float(noise.degrees[j])
+            by_signal[signal.name] = {
+                "sd": float(noise.sd[j]),
+                "correlation": float(noise.memory[j]),
                 "degrees": degrees if np.isfinite(degrees) else None,
                 "unit": signal.unit,
             }
@@ -863,7 +901,7 @@ class _Search:
                 "runs": len(windows.runs.spans),
                 "pieces": len(windows.pieces.spans),
                 "window": windows.length,
-                "noise": noise,
+                "noise": by_signal,
             }
         }
 

@@ -14,9 +14,10 @@ from dropo.core.numerics.kept_rows import MEMORY, MemorySettings
 from dropo.core.records.trajectories import Ints, Segments
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.validation import Array
-from dropo.likelihoods.linear import LinearRows, along, coordinates
 from dropo.likelihoods.support.axial import Axial
 from dropo.likelihoods.support.gaussian_rows import Columns, Parts, parts_of_columns
+from dropo.likelihoods.support.linear_rows import LinearRows, along
+from dropo.likelihoods.support.member_moments import coordinates
 
 
 @dataclass(frozen=True)

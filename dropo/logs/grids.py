@@ -12,10 +12,24 @@ from dropo.logs.signals.resampling import resample, resample_rotations
 from dropo.logs.signals.stamps import find_gaps
 from dropo.mjmodel.joints import ModelJoints
 
-ON_GRID = 1e-3
-"""Stamps within this fraction of a control step of the grid are on it, and are not resampled."""
-SHORTEST = 3
-"""A trajectory of fewer rows holds no transition worth keeping."""
+
+@dataclass(frozen=True)
+class GridSettings:
+    """How a recording is put on the grid of control steps.
+
+    Attributes
+    ----------
+    on_grid : float
+        Stamps within this fraction of a control step of the grid are on it, and are not resampled.
+    shortest : int
+        Rows of the shortest trajectory that is kept: one of fewer holds no transition worth it.
+    """
+
+    on_grid: float = 1e-3
+    shortest: int = 3
+
+
+DEFAULTS = GridSettings()
 
 
 @dataclass(frozen=True)
@@ -94,7 +108,7 @@ def _first_position(series: Sequence[TimeSeries]) -> TimeSeries:
 
 
 def whole_spans(
-    run: LogRun, series: Sequence[TimeSeries], step: float
+    run: LogRun, series: Sequence[TimeSeries], step: float, settings: GridSettings = DEFAULTS
 ) -> tuple[list[GridSpan], list[ExcludedSpan]]:
     """Find the pieces of a run in which every series has rows.
 
@@ -106,6 +120,8 @@ def whole_spans(
         Those that must have rows.
     step : float
         A control step [s].
+    settings : GridSettings, optional
+        What is on the grid, and long enough.
 
     Returns
     -------
@@ -128,10 +144,11 @@ def whole_spans(
     spans = []
     for hole in _merge(holes):
         if hole.start > begin:
-            spans += _make_span(run.name, series, begin, min(hole.start, end), step, excluded)
+            stop = min(hole.start, end)
+            spans += _make_span(run.name, series, (begin, stop), step, excluded, settings)
         excluded.append(hole)
         begin = max(begin, hole.stop)
-    spans += _make_span(run.name, series, begin, end, step, excluded)
+    spans += _make_span(run.name, series, (begin, end), step, excluded, settings)
     return spans, excluded
 
 
@@ -167,28 +184,31 @@ def _find_holes(run: str, series: TimeSeries) -> list[ExcludedSpan]:
 def _make_span(
     run: str,
     series: Sequence[TimeSeries],
-    begin: float,
-    end: float,
+    within: tuple[float, float],
     step: float,
     excluded: list[ExcludedSpan],
+    settings: GridSettings,
 ) -> list[GridSpan]:
-    """The piece from `begin` to `end`, or none, noted in `excluded`, where it is too short.
+    """The piece within two instants, or none, noted in `excluded`, where it is too short.
 
     The grid begins on a position's stamp, so that the shift of estimated velocities does not move
     the commands.
     """
+    begin, end = within
     stamps = _first_position(series).time
-    later = stamps[stamps >= begin - ON_GRID * step]
+    later = stamps[stamps >= begin - settings.on_grid * step]
     begin = float(later[0]) if len(later) else begin
     if end <= begin:
         return []
-    count = int((end - begin) / step * (1 + 1e-12) + ON_GRID) + 1
+    count = int((end - begin) / step * (1 + 1e-12) + settings.on_grid) + 1
     at: Array = begin + step * np.arange(count, dtype=np.float64)
-    if count < SHORTEST:
-        why = f"shorter than {SHORTEST} control steps"
+    if count < settings.shortest:
+        why = f"shorter than {settings.shortest} control steps"
         excluded.append(ExcludedSpan(run, begin, end, why))
         return []
-    resampled = [one.label for one in series if not _is_on_grid(one.time, at, step)]
+    resampled = [
+        one.label for one in series if not _is_on_grid(one.time, at, settings.on_grid * step)
+    ]
     return [GridSpan(at, frozenset(resampled))]
 
 
@@ -198,10 +218,10 @@ def _nearest(time: Array, at: Array) -> Ints:
     return after - (at - time[after - 1] < time[after] - at)
 
 
-def _is_on_grid(time: Array, at: Array, step: float) -> bool:
+def _is_on_grid(time: Array, at: Array, within: float) -> bool:
     """Whether every instant of the grid is a stamp; a command's last row may be missing."""
     distance = np.abs(time[_nearest(time, at)] - at)
-    near = distance < ON_GRID * step
+    near = distance < within
     return bool(near[:-1].all() and (near[-1] or at[-1] > time[-1]))
 
 
@@ -236,7 +256,9 @@ def sample_state(series: TimeSeries, span: GridSpan, rotation: slice | None) -> 
     return values
 
 
-def sample_command(series: TimeSeries, span: GridSpan, step: float) -> Array:
+def sample_command(
+    series: TimeSeries, span: GridSpan, step: float, settings: GridSettings = DEFAULTS
+) -> Array:
     """Take a command on the grid.
 
     Parameters
@@ -247,13 +269,15 @@ def sample_command(series: TimeSeries, span: GridSpan, step: float) -> Array:
         n instants.
     step : float
         A control step [s].
+    settings : GridSettings, optional
+        What is on the grid.
 
     Returns
     -------
     (n, 1) array
         Each row is held until the next, and averaged over the control step.
     """
-    row = np.searchsorted(series.time, span.at + ON_GRID * step, side="right") - 1
+    row = np.searchsorted(series.time, span.at + settings.on_grid * step, side="right") - 1
     one_each = bool((np.diff(row) == 1).all())  # row in each control step
     if series.label not in span.resampled and one_each:
         return series.values[row]

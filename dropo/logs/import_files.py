@@ -50,7 +50,18 @@ def check_place(out: Path) -> None:
 
 
 def sum_of(content: bytes) -> str:
-    """Compute the SHA-256 of a file's `content`."""
+    """Compute the checksum of a file.
+
+    Parameters
+    ----------
+    content : bytes
+        The file's content.
+
+    Returns
+    -------
+    str
+        SHA-256 in hexadecimal digits.
+    """
     return hashlib.sha256(content).hexdigest()
 
 

@@ -23,6 +23,7 @@ from dropo.data.checks.findings import Finding, errors_first
 from dropo.data.reading import RUN_NAMES
 from dropo.logs.grids import (
     ExcludedSpan,
+    GridSettings,
     GridSpan,
     join_observations,
     observation_items,
@@ -38,7 +39,7 @@ from dropo.logs.mapping import Mapping as LogMapping
 from dropo.logs.mapping import read_mapping
 from dropo.logs.preparing import NoiseSettings, SignalNoise, add_velocities, clean_run
 from dropo.logs.readers.reader import Progress
-from dropo.logs.recordings import LogRun, read_runs
+from dropo.logs.recordings import LogReadingSettings, LogRun, read_runs
 from dropo.logs.signals.clocks import AlignmentSettings, SignalDelay, align_runs
 from dropo.mjmodel.joints import ModelJoints, load_model_joints
 
@@ -64,6 +65,10 @@ class ImportSettings:
         How delays are estimated and removed.
     noise : NoiseSettings
         From how much of a log noise levels are estimated.
+    recordings : LogReadingSettings
+        How stamps of logs are read.
+    grid : GridSettings
+        How recordings are put on the grid of control steps.
     """
 
     rate_error: float = 0.05
@@ -72,6 +77,8 @@ class ImportSettings:
     checks: LogCheckSettings = field(default_factory=LogCheckSettings)
     alignment: AlignmentSettings = field(default_factory=AlignmentSettings)
     noise: NoiseSettings = field(default_factory=NoiseSettings)
+    recordings: LogReadingSettings = field(default_factory=LogReadingSettings)
+    grid: GridSettings = field(default_factory=GridSettings)
 
 
 DEFAULTS = ImportSettings()
@@ -280,7 +287,9 @@ def prepare(
         If a check finds an error in a log, or no run holds a trajectory.
     """
     # read and check
-    raw = read_runs(logs, mapping, lambda fraction, text: progress(0.5 * fraction, text))
+    raw = read_runs(
+        logs, mapping, lambda fraction, text: progress(0.5 * fraction, text), settings.recordings
+    )
     findings = check_logs(logs, raw, mapping, robot, settings.checks)
     for finding in findings:
         if finding.level == "error":
@@ -305,7 +314,7 @@ def prepare(
     runs, noise = add_velocities(runs, robot, settings.noise)
     worse = worse_velocities(noise, settings)
     progress(0.9, "resampling")
-    gathered = _gather(raw, runs, mapping, robot, skip)
+    gathered = _gather(raw, runs, mapping, robot, skip, settings.grid)
     positions = [channel.name for channel in mapping.of("qpos")]
     sensors = _sensor_names(mapping, robot)
     action, _ = _action_items(mapping, robot)
@@ -419,17 +428,18 @@ def _gather(
     mapping: LogMapping,
     robot: ModelJoints,
     skip: int,
+    settings: GridSettings,
 ) -> _Gathered:
     """Cut the runs, of which `raw` are those that were read, into trajectories on the grid."""
     step = skip * robot.timestep
     gathered = _Gathered([], {}, [])
     _, actuators = _action_items(mapping, robot)
     for i, (logged, run) in enumerate(zip(raw, runs, strict=True)):
-        spans, excluded = whole_spans(run, run.series, step)
+        spans, excluded = whole_spans(run, run.series, step, settings)
         gathered.excluded.extend(excluded)
         for span in spans:
             observations = _observations(run, span, mapping, robot)
-            actions = _commands(run, span, step, mapping, actuators)
+            actions = _commands(run, span, step, mapping, actuators, settings)
             gathered.pieces.append(_Piece(observations, actions, span.at, i))
         gathered.rows[_unique_name(run, gathered.rows)] = _count_rows(logged, run, spans)
     if not gathered.pieces:
@@ -517,7 +527,12 @@ def _action_items(mapping: LogMapping, robot: ModelJoints) -> tuple[list[str], l
 
 
 def _commands(
-    run: LogRun, span: GridSpan, step: float, mapping: LogMapping, actuators: list[str]
+    run: LogRun,
+    span: GridSpan,
+    step: float,
+    mapping: LogMapping,
+    actuators: list[str],
+    settings: GridSettings,
 ) -> dict[str, Array]:
     """The actions (n, q) of every candidate in a span."""
     if not mapping.candidates:
@@ -528,7 +543,7 @@ def _commands(
         for name in actuators:
             series = run.of("ctrl", name, candidate)
             if series is not None:
-                columns.append(sample_command(series, span, step))
+                columns.append(sample_command(series, span, step, settings))
         actions[candidate] = np.hstack(columns)
     return actions
 

@@ -59,11 +59,11 @@ class LogCheckSettings:
         A clock has jumped where the moving joints went over a gap by what their speed makes of one
         usual step, within this fraction of it.
     stamps : StampSettings
-        Of time stamps.
+        What makes time stamps look odd.
     columns : ColumnSettings
-        Of single columns.
+        What makes single columns look odd.
     motion : MotionSettings
-        Of velocities and free fall.
+        What makes velocities and free fall look odd.
     """
 
     quaternion_norm: float = 0.05

@@ -36,10 +36,24 @@ ROTATION = (
     "a quaternion w, x, y, z of length 1, or three axes of the log, turned and not mirrored, such "
     "as [y, -x, z]"
 )
-ROUNDED = 0.01
-"""How far the length of a quaternion in a mapping file may be from 1."""
 ONE_UNIT_EACH = "one unit for each column, of its kind"
 _SLICE = re.compile(r"(?P<name>.+)\[(?P<start>\d{1,9}):(?P<stop>\d{1,9})\]")
+
+
+@dataclass(frozen=True)
+class MappingSettings:
+    """What a mapping file may say.
+
+    Attributes
+    ----------
+    rounded : float
+        How far the length of a quaternion may be from 1.
+    """
+
+    rounded: float = 0.01
+
+
+DEFAULTS = MappingSettings()
 
 
 @dataclass(frozen=True)
@@ -430,7 +444,9 @@ class _ChannelReader:
         return self.file.refusal(f"{self.key}.{key}", expected, got)
 
 
-def read_rotation(given: Sequence[object]) -> tuple[float, ...] | None:
+def read_rotation(
+    given: Sequence[object], settings: MappingSettings = DEFAULTS
+) -> tuple[float, ...] | None:
     """Read how a sensor is turned in its mount.
 
     Parameters
@@ -438,6 +454,8 @@ def read_rotation(given: Sequence[object]) -> tuple[float, ...] | None:
     given : sequence
         Four numbers w, x, y, z, or three axes such as "-y": those of the log that are the model's
         x, y and z.
+    settings : MappingSettings, optional
+        How exact a quaternion must be.
 
     Returns
     -------
@@ -449,7 +467,8 @@ def read_rotation(given: Sequence[object]) -> tuple[float, ...] | None:
     if len(given) == 4 and all(isinstance(one, int | float) for one in given):
         quaternion = np.array(given, dtype=float)
         length = float(np.linalg.norm(quaternion))
-        return tuple((quaternion / length).tolist()) if abs(length - 1) < ROUNDED else None
+        is_unit = abs(length - 1) < settings.rounded
+        return tuple((quaternion / length).tolist()) if is_unit else None
     if len(given) != 3 or not all(one in AXES for one in given):
         return None
     matrix = np.array([AXES[str(one)] for one in given])

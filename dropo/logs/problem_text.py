@@ -47,7 +47,7 @@ class TextSettings:
     motor : (float, float)
         Factors on motors' gains are searched between these.
     quantile : float
-        Of forces and speeds in the data, for the bounds of frictions.
+        Quantile of forces and speeds in the data from which the bounds of frictions are made.
     rows : int
         Rows that forces are computed for at most.
     """

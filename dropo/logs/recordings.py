@@ -22,8 +22,22 @@ from dropo.logs.readers.reader import Arrays, Log, Progress, open_log, part_prog
 from dropo.logs.units import seconds
 from dropo.mjmodel.sensors import turned_columns
 
-FAR = 1e6
-"""Stamps of more seconds, and dates, count from the log's first one, so that digits are left."""
+
+@dataclass(frozen=True)
+class LogReadingSettings:
+    """How logs are read.
+
+    Attributes
+    ----------
+    far : float
+        Stamps of more seconds than this count from the log's first one, so that digits are left;
+        dates always do.
+    """
+
+    far: float = 1e6
+
+
+DEFAULTS = LogReadingSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +165,12 @@ class LogRun:
         return None
 
 
-def read_runs(logs: Sequence[str | Path], mapping: Mapping, progress: Progress) -> list[LogRun]:
+def read_runs(
+    logs: Sequence[str | Path],
+    mapping: Mapping,
+    progress: Progress,
+    settings: LogReadingSettings = DEFAULTS,
+) -> list[LogRun]:
     """Read the runs of logs.
 
     Parameters
@@ -162,6 +181,8 @@ def read_runs(logs: Sequence[str | Path], mapping: Mapping, progress: Progress) 
         Which columns are what, and which runs to take.
     progress : callable
         Called with the fraction of the work that is done, and what is being done.
+    settings : LogReadingSettings, optional
+        How stamps are read.
 
     Returns
     -------
@@ -176,13 +197,16 @@ def read_runs(logs: Sequence[str | Path], mapping: Mapping, progress: Progress) 
     """
     runs: list[LogRun] = []
     for i, path in enumerate(logs):
-        runs += _read_log(open_log(path), mapping, part_progress(progress, i, len(logs)))
+        part = part_progress(progress, i, len(logs))
+        runs += _read_log(open_log(path), mapping, part, settings)
     if not runs:
         raise mapping.refusal("run.only", "runs of the logs", "patterns that fit none")
     return runs
 
 
-def _read_log(log: Log, mapping: Mapping, progress: Progress) -> list[LogRun]:
+def _read_log(
+    log: Log, mapping: Mapping, progress: Progress, settings: LogReadingSettings
+) -> list[LogRun]:
     """The runs of one log."""
     by_source: dict[Source, list[Channel]] = {}
     for channel in mapping.channels:
@@ -190,9 +214,9 @@ def _read_log(log: Log, mapping: Mapping, progress: Progress) -> list[LogRun]:
     tables = []
     for source, channels in by_source.items():
         tables.append(_read_table(log, source, channels, mapping, progress))
-    origins: dict[str, Any] = {}  # the log's first stamp, once it is known
+    stamping = _Stamping(mapping.rate, settings)
     names = _run_names(tables[0], log, mapping)
-    return [_make_run(log, name, tables, mapping, origins) for name in names]
+    return [_make_run(log, name, tables, stamping) for name in names]
 
 
 # The columns of one source
@@ -299,9 +323,16 @@ def _format_name(name: Any) -> str:
     return f"{name:g}" if isinstance(name, float | np.floating) else str(name)
 
 
-def _make_run(
-    log: Log, name: Any, tables: list[_SourceTable], mapping: Mapping, origins: dict[str, Any]
-) -> LogRun:
+@dataclass(eq=False)
+class _Stamping:
+    """How stamps become seconds: rows a second without any, and the log's first one once known."""
+
+    rate: float | None
+    settings: LogReadingSettings
+    origin: Any = None
+
+
+def _make_run(log: Log, name: Any, tables: list[_SourceTable], stamping: _Stamping) -> LogRun:
     """The rows of all sources that belong to a run."""
     series = []
     stamps = []
@@ -312,7 +343,7 @@ def _make_run(
     for table in tables:
         # the rows of the run that have a stamp
         rows = _rows_of_run(table, name)
-        time = _seconds(table, rows, mapping, origins)
+        time = _seconds(table, rows, stamping)
         timed = np.isfinite(time)
         read += len(rows)
         without += int((~timed).sum())
@@ -351,13 +382,13 @@ def _channel_values(table: _SourceTable, channel: Channel, rows: Ints) -> Array:
     return turned_columns(channel.rotation, values, rotation=len(channel.columns) == 4)
 
 
-def _seconds(table: _SourceTable, rows: Ints, mapping: Mapping, origins: dict[str, Any]) -> Array:
+def _seconds(table: _SourceTable, rows: Ints, stamping: _Stamping) -> Array:
     """Stamps in seconds; NaN where there is none.
 
     Sources on the log's clock share their origin; another clock has its own.
     """
     if table.stamps is None:
-        return np.arange(len(rows)) / float(mapping.rate or 1)
+        return np.arange(len(rows)) / float(stamping.rate or 1)
     stamps = table.stamps[rows]
     unit = table.source.clock.unit
     dates = stamps.dtype.kind == "M"
@@ -366,7 +397,9 @@ def _seconds(table: _SourceTable, rows: Ints, mapping: Mapping, origins: dict[st
         return np.full(len(rows), np.nan)
     first = stamps[~missing][0]
     origin = None
-    if dates or abs(float(seconds(np.asarray([first]), unit)[0])) > FAR:
-        own = table.source.own_clock
-        origin = first if own else origins.setdefault("log", first)
+    far = stamping.settings.far
+    if dates or abs(float(seconds(np.asarray([first]), unit)[0])) > far:
+        if stamping.origin is None and not table.source.own_clock:
+            stamping.origin = first
+        origin = first if table.source.own_clock else stamping.origin
     return np.where(missing, np.nan, seconds(stamps, unit, origin))

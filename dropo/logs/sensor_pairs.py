@@ -29,12 +29,14 @@ class PairSettings:
 
     Attributes
     ----------
-    runs, rows : int
-        Runs at most, and instants of each.
+    runs : int
+        Largest number of runs that are compared.
+    rows : int
+        Largest number of instants of each run.
     minimum_rows : int
         A run with fewer is left out.
     turn : float
-        Seconds over which an orientation turns.
+        Length of the windows over which an orientation turns [s].
     """
 
     runs: int = 4

@@ -19,7 +19,8 @@ from dropo.core.services.strict_yaml import format_yaml, read_yaml
 from dropo.core.services.tables import Report, Table, number
 from dropo.core.services.validation import Array
 from dropo.data.checks.sensors import unit_of
-from dropo.logs.guessing.guess import NAMED, Ask, Guess, guess_mapping
+from dropo.logs.guessing.guess import Ask, guess_mapping
+from dropo.logs.guessing.guessed import NAMED, Guess
 from dropo.logs.guessing.servos import estimate_drives
 from dropo.logs.import_files import (
     PROBLEM,

@@ -73,7 +73,18 @@ def posed(model: mujoco.MjModel, qpos: Array | None = None) -> mujoco.MjData:
 
 
 def moving_geoms(model: mujoco.MjModel) -> NDArray[np.int64]:
-    """List the ids of the geoms that are shown and can move."""
+    """List the ids of the geoms that are shown and can move.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+
+    Returns
+    -------
+    (g,) array of int
+        Ids in ascending order; those of bodies welded to the world are left out.
+    """
     moving = [i for i in _shown(model) if model.body_weldid[model.geom_bodyid[i]] > 0]
     return np.array(moving, dtype=np.int64)
 
@@ -105,7 +116,18 @@ def part_places(model: mujoco.MjModel, poses: Array) -> Array:
 
 
 def floats(model: mujoco.MjModel) -> bool:
-    """Return whether a robot may go away: it has a free joint, or two slides on one body."""
+    """Return whether a robot may go away from where it stands.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+
+    Returns
+    -------
+    bool
+        True where it has a free joint, or two slides on one body.
+    """
     kinds = np.asarray(model.jnt_type)
     slides = np.asarray(model.jnt_bodyid)[kinds == mujoco.mjtJoint.mjJNT_SLIDE]
     free = bool((kinds == mujoco.mjtJoint.mjJNT_FREE).any())
@@ -113,7 +135,18 @@ def floats(model: mujoco.MjModel) -> bool:
 
 
 def part_sizes(model: mujoco.MjModel) -> Array:
-    """Return the radii (g,) [m] of balls around the parts of `part_places`."""
+    """Return the radii of balls around the parts of `part_places`.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+
+    Returns
+    -------
+    (g,) array
+        In metres; of a model without geoms that are shown one size for all, by its reach.
+    """
     geoms = moving_geoms(model)
     if len(geoms):
         return np.asarray(model.geom_rbound[geoms], dtype=float)
@@ -214,7 +247,8 @@ def _outline(model: mujoco.MjModel, i: int) -> tuple[Array | None, float]:
         return np.concatenate(rings) * size, 0.0
     if kind == mujoco.mjtGeom.mjGEOM_MESH:
         mesh = int(model.geom_dataid[i])
-        start, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
+        start = int(model.mesh_vertadr[mesh])
+        count = int(model.mesh_vertnum[mesh])
         vertices = model.mesh_vert[start : start + count : max(1, count // MOST)]
         return np.asarray(vertices, dtype=float), 0.0
     return None, 0.0
@@ -304,7 +338,8 @@ def _where(model: mujoco.MjModel, data: mujoco.MjData, kind: str, i: int) -> Arr
 
 def _tendon(model: mujoco.MjModel, data: mujoco.MjData, i: int) -> Array | None:
     """The middle of what a tendon wraps: its joints, sites and geoms."""
-    start, count = int(model.tendon_adr[i]), int(model.tendon_num[i])
+    start = int(model.tendon_adr[i])
+    count = int(model.tendon_num[i])
     kinds = {
         int(mujoco.mjtWrap.mjWRAP_JOINT): "joint",
         int(mujoco.mjtWrap.mjWRAP_SITE): "site",

@@ -92,7 +92,20 @@ def body_sites(model: mujoco.MjModel, body: int) -> list[tuple[str, Array]]:
 
 
 def inertia_matrix(model: mujoco.MjModel, body: int) -> Array:
-    """Return the rotational inertia (3, 3) of a body about its centre of mass, in its own frame."""
+    """Return the rotational inertia of a body about its centre of mass, in its own frame.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+    body : int
+        The body's id.
+
+    Returns
+    -------
+    (3, 3) array
+        In kg m^2.
+    """
     rotation = np.empty(9)
     mujoco.mju_quat2Mat(rotation, model.body_iquat[body])
     axes = rotation.reshape(3, 3)

@@ -54,7 +54,20 @@ class Servo:
 
 
 def servo_of(model: mujoco.MjModel, actuator: int) -> Servo | None:
-    """Read the gains of the `actuator` of that number; None where it is no position servo."""
+    """Read the gains of a position servo.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+    actuator : int
+        The actuator's id.
+
+    Returns
+    -------
+    Servo or None
+        Its gains; None where the actuator is no position servo.
+    """
     kp = float(model.actuator_gainprm[actuator, 0])
     if kp == 0 or model.actuator_biasprm[actuator, 1] != -kp:
         return None

@@ -149,7 +149,18 @@ class Binding:
         return [entry for place in self._places for entry in place.entries(model)]
 
     def read(self, model: mujoco.MjModel) -> Any:
-        """Read the numbers for which the parameter stands from a copy of the model."""
+        """Read the numbers for which the parameter stands.
+
+        Parameters
+        ----------
+        model : MjModel
+            A copy of the model that it is bound to.
+
+        Returns
+        -------
+        float or array
+            Those of the first place, where it stands for several.
+        """
         return self._places[0].read(model)
 
 
@@ -275,7 +286,22 @@ def owner_of(model: mujoco.MjModel, field: str, row: int) -> tuple[str, str] | N
 
 
 def first_row(model: mujoco.MjModel, field: str, row: int) -> int:
-    """Find the first row of the element to which a `row` of a `field` of a `model` belongs."""
+    """Find the first row of the element to which a row of a field belongs.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+    field : str
+        A field of the model, such as "dof_damping".
+    row : int
+        A row of that field.
+
+    Returns
+    -------
+    int
+        Of a field of degrees of freedom the first of their joint; else the row itself.
+    """
     return int(model.jnt_dofadr[model.dof_jntid[row]]) if field.startswith("dof_") else row
 
 
@@ -290,7 +316,18 @@ def _is_array(value: Any) -> bool:
 
 
 def model_fields(model: mujoco.MjModel) -> list[str]:
-    """List the names of the gains of servos and of the model's float64 arrays."""
+    """List the fields of a model that a parameter can name.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+
+    Returns
+    -------
+    list of str
+        The names of the gains of servos, then of the model's float64 arrays.
+    """
     names = list(SERVO)
     for name in dir(model):
         if not name.startswith("_") and _is_array(getattr(model, name)):
@@ -299,7 +336,18 @@ def model_fields(model: mujoco.MjModel) -> list[str]:
 
 
 def option_fields(model: mujoco.MjModel) -> list[str]:
-    """List the names of the float entries of mjOption."""
+    """List the entries of mjOption that a parameter can name.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+
+    Returns
+    -------
+    list of str
+        The names of its floats and arrays of floats, without "opt." before them.
+    """
     names = [name for name in dir(model.opt) if not name.startswith("_")]
     return [name for name in names if _is_float(getattr(model.opt, name))]
 

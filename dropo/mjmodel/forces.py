@@ -252,7 +252,18 @@ class LinearDrives:
     dofs: NDArray[np.int64]
 
     def forces(self, commands: Array) -> Array:
-        """(n, nv) the forces for commands (n, nu)."""
+        """Compute the forces under commands.
+
+        Parameters
+        ----------
+        commands : (n, nu) array
+            One row for each state in which the drives were linearized.
+
+        Returns
+        -------
+        (n, nv) array
+            Generalised forces [N, N m].
+        """
         out = self.bias.copy()
         for i, dof in enumerate(self.dofs.tolist()):
             out[:, dof] += self.gains[:, i] * commands[:, i]

@@ -55,7 +55,18 @@ class Joint:
     range: tuple[float, float] | None = None
 
     def units(self, field: str) -> tuple[str, ...]:
-        """The SI units of its numbers in the field "qpos" or "qvel"; a quaternion's have none."""
+        """Give the SI units of the joint's numbers in a field.
+
+        Parameters
+        ----------
+        field : str
+            "qpos" or "qvel".
+
+        Returns
+        -------
+        tuple of str
+            One for each of its numbers; those of a quaternion are empty.
+        """
         units = _POSITION_UNITS if field == "qpos" else _VELOCITY_UNITS
         return units[self.kind]
 
@@ -193,14 +204,36 @@ def load_model_joints(path: str | Path) -> ModelJoints:
 
 
 def model_joints(model: mujoco.MjModel) -> ModelJoints:
-    """Collect the joints, actuators and sensors of a compiled model."""
+    """Collect the joints, actuators and sensors of a compiled model.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+
+    Returns
+    -------
+    ModelJoints
+        By name.
+    """
     joints = {joint.name: joint for joint in all_joints(model)}
     driven = {actuator.name: actuator for actuator in actuators(model)}
     return ModelJoints(model, joints, driven, named_sensors(model))
 
 
 def all_joints(model: mujoco.MjModel) -> list[Joint]:
-    """List every joint, in the model's order."""
+    """List every joint, in the model's order.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+
+    Returns
+    -------
+    list of Joint
+        With the range of each joint that has one [m or rad].
+    """
     found = []
     for i, name in enumerate(joint_names(model)):
         low, high = model.jnt_range[i].tolist()
@@ -272,7 +305,18 @@ def degrees_of_freedom(model: mujoco.MjModel) -> list[tuple[str, str]]:
 
 
 def actuators(model: mujoco.MjModel) -> list[Actuator]:
-    """List every actuator, in the model's order."""
+    """List every actuator, in the model's order.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+
+    Returns
+    -------
+    list of Actuator
+        With its control range and the joint that it drives, where it has them.
+    """
     every = all_joints(model)
     driven = driven_joints(model).tolist()
     found = []

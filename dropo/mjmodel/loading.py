@@ -21,7 +21,18 @@ _ATTRIBUTE = re.compile(r"(\w+)\s*=\s*[\"']([^\"']*)[\"']")
 
 
 def gymnasium_spec(file: str) -> mujoco.MjSpec:
-    """Read one of Gymnasium's models, such as "hopper.xml"; Gymnasium itself is not imported."""
+    """Read one of Gymnasium's models; Gymnasium itself is not imported.
+
+    Parameters
+    ----------
+    file : str
+        Name of the file among its assets, such as "hopper.xml".
+
+    Returns
+    -------
+    MjSpec
+        The model, not compiled yet.
+    """
     package = find_spec("gymnasium")
     assert package is not None
     assert package.origin is not None
@@ -123,7 +134,18 @@ def specification(model: str | Path | mujoco.MjSpec | mujoco.MjModel) -> mujoco.
 
 
 def model_sum(model: mujoco.MjModel) -> str:
-    """Compute the SHA-256 of the compiled `model`, as MuJoCo writes it."""
+    """Compute the SHA-256 of a compiled model, as MuJoCo writes it.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+
+    Returns
+    -------
+    str
+        64 hexadecimal digits; equal only for models that are equal bit for bit.
+    """
     buffer = np.zeros(mujoco.mj_sizeModel(model), dtype=np.uint8)
     mujoco.mj_saveModel(model, None, buffer)
     return hashlib.sha256(buffer.tobytes()).hexdigest()

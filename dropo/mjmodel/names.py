@@ -157,7 +157,18 @@ def actuator_names(model: mujoco.MjModel) -> list[str]:
 
 
 def driven_joints(model: mujoco.MjModel) -> NDArray[np.int64]:
-    """Find the joint of each actuator: (nu,) its id, or -1 where it drives none."""
+    """Find the joint of each actuator.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+
+    Returns
+    -------
+    (nu,) array of int
+        The joint's id, or -1 where the actuator drives none.
+    """
     on_joint = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
     return np.where(on_joint, model.actuator_trnid[:, 0], -1).astype(np.int64)
 

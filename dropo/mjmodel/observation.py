@@ -300,7 +300,18 @@ class Layout:
         return out
 
     def by_column(self, per_signal: Array) -> Array:
-        """Give each observation column (P,) its signal's number (p,); 0 for a quaternion's."""
+        """Give each observation column the number of its signal.
+
+        Parameters
+        ----------
+        per_signal : (p,) array
+            A number for each signal.
+
+        Returns
+        -------
+        (P,) array
+            0 in the columns of a quaternion, which have no signal of their own.
+        """
         out = np.zeros(len(self))
         out[self._plain] = per_signal[self._signal_places()[0]]
         return out
@@ -323,7 +334,18 @@ class Layout:
 
 
 def quaternion_addresses(model: mujoco.MjModel) -> list[int]:
-    """Find the places in qpos at which the quaternions of free and ball joints begin."""
+    """Find the places in qpos at which the quaternions of free and ball joints begin.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+
+    Returns
+    -------
+    list of int
+        Ascending; each quaternion takes four places.
+    """
     addresses = []
     for joint in all_joints(model):
         within = joint.quaternion()

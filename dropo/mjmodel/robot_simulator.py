@@ -67,11 +67,33 @@ class RobotSimulator(Simulator):
 
     @abstractmethod
     def with_finer_steps(self, times: int) -> "RobotSimulator":
-        """Make the same simulator with so many physics steps in the place of one."""
+        """Make the same simulator with shorter physics steps, and control steps as they are.
+
+        Parameters
+        ----------
+        times : int
+            How many physics steps take the place of one.
+
+        Returns
+        -------
+        RobotSimulator
+            With its own parameters and effects.
+        """
 
     @abstractmethod
     def with_integrator(self, name: str) -> "RobotSimulator":
-        """Make the same simulator with an integrator by its name in MJCF."""
+        """Make the same simulator with another integrator.
+
+        Parameters
+        ----------
+        name : str
+            Its name in MJCF, such as "implicitfast".
+
+        Returns
+        -------
+        RobotSimulator
+            With its own parameters and effects.
+        """
 
     @abstractmethod
     def with_holding_friction(self) -> "RobotSimulator":
@@ -79,7 +101,18 @@ class RobotSimulator(Simulator):
 
     @abstractmethod
     def with_fitted(self, effects: Sequence[EffectInstance]) -> "RobotSimulator":
-        """Make the same simulator with some of its fixed effects, by their labels, as free ones."""
+        """Make the same simulator with some of its fixed effects as free ones.
+
+        Parameters
+        ----------
+        effects : sequence of EffectInstance
+            They are found among the fixed ones by their labels.
+
+        Returns
+        -------
+        RobotSimulator
+            Their magnitudes are parameters of it.
+        """
 
     @abstractmethod
     def with_effects(

@@ -107,7 +107,7 @@ def candidates(result: Any, ax: Axes | None = None, *, found: int = 0) -> Axes:
     if not bars:
         return empty(ax, "No effect looked likely enough to be fitted.")
     place = -np.arange(len(bars), dtype=float)
-    colors = [AFTER if bar.accepted else LIGHT if bar.told else AFTER for bar in bars]
+    colors = [LIGHT if bar.told and not bar.accepted else AFTER for bar in bars]
     for y, bar, color in zip(place, bars, colors, strict=True):
         ax.barh(
             y - 0.2,

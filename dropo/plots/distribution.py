@@ -138,6 +138,11 @@ def corner(fit: Fit, axes: Any = None) -> Any:
     Returns
     -------
     (d, d) array of Axes
+
+    Raises
+    ------
+    MissingPackage
+        If matplotlib is not installed (extra `plots`) and no axes are given.
     """
     draws = draws_of(fit)
     order = np.argsort(-draws.std(axis=0) / (fit.space.high - fit.space.low), kind="stable")

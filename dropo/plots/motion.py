@@ -71,7 +71,17 @@ def sides(found: Predictions) -> list[tuple[Side, str, Any, str]]:
 
 
 def changed(found: Predictions) -> bool:
-    """Return whether before and after are two models in `found`."""
+    """Tell whether predictions before and after are of two models.
+
+    Parameters
+    ----------
+    found : Predictions
+        Both.
+
+    Returns
+    -------
+    bool
+    """
     return found.before.name != found.after.name
 
 

@@ -51,7 +51,20 @@ def axes_of(ax: Axes | None, *, size: tuple[float, float] = SIZE) -> Axes:
 
 
 def empty(ax: Axes, sentence: str) -> Axes:
-    """Write a `sentence` into the axes `ax`, where there is nothing to draw."""
+    """Write a sentence into axes, where there is nothing to draw.
+
+    Parameters
+    ----------
+    ax : Axes
+        The axes, whose frame is taken away.
+    sentence : str
+        Why there is nothing.
+
+    Returns
+    -------
+    Axes
+        The same.
+    """
     ax.set_axis_off()
     ax.text(
         0.5,
@@ -68,7 +81,20 @@ def empty(ax: Axes, sentence: str) -> Axes:
 
 
 def folded(name: str, width: int = 14) -> str:
-    """Break a `name` behind "_" or "." into lines of at most `width` letters, where it can be."""
+    """Break a name behind "_" or "." into lines, where it can be.
+
+    Parameters
+    ----------
+    name : str
+        The name.
+    width : int
+        Letters of a line, at most where a break is possible.
+
+    Returns
+    -------
+    str
+        The name with line breaks.
+    """
     lines = [""]
     for piece in re.findall(r"[^_.]*[_.]?", name):
         if lines[-1] and len(lines[-1] + piece) > width:
@@ -78,12 +104,30 @@ def folded(name: str, width: int = 14) -> str:
 
 
 def with_unit(name: str, unit: str) -> str:
-    """Put a `unit` behind a `name`, as in "qvel.leg_joint [rad/s]"."""
+    """Put a unit behind a name, as in "qvel.leg_joint [rad/s]".
+
+    Parameters
+    ----------
+    name : str
+        The name.
+    unit : str
+        The unit; empty for none.
+
+    Returns
+    -------
+    str
+    """
     return f"{name} [{unit}]" if unit else name
 
 
 def plain_log(ax: Axes) -> None:
-    """Give the logarithmic x axis of `ax` plain numbers where it spans less than two decades."""
+    """Give a logarithmic x axis plain numbers where it spans less than two decades.
+
+    Parameters
+    ----------
+    ax : Axes
+        The axes, which are changed.
+    """
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     low, high = ax.get_xlim()

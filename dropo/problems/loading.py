@@ -30,7 +30,7 @@ def load(
     problem : str or Path
         The name, or the path of the file; paths in the file are relative to it.
     threads : int
-        Of the simulator, 0 for all cores.
+        Threads of the simulator; 0 for all cores.
     checked : bool
         Refuse data, held-out ones too, in which `dropo.check` finds an error.
     input : str or None
@@ -79,7 +79,7 @@ def load_states(problem: str | Path, *, threads: int = 0, trusted: bool = True) 
     problem : str or Path
         A problem file, whose data need not hold actions, or a built-in name.
     threads : int
-        Of the simulator, 0 for all cores.
+        Threads of the simulator; 0 for all cores.
     trusted : bool
         As of `load`.
 

@@ -16,7 +16,18 @@ from dropo.mjmodel.loading import model_sum
 
 
 def problem_record(problem: Problem) -> dict[str, Any]:
-    """Make a dict of the settings of a `problem`, with SHA-256 sums of all that is behind it."""
+    """Collect the settings of a problem, with SHA-256 sums of all that is behind it.
+
+    Parameters
+    ----------
+    problem : Problem
+        The problem.
+
+    Returns
+    -------
+    dict
+        Plain values, by which another run of the same problem is recognized.
+    """
     plugins = plugin_sums()
     simulator = problem.simulator
     model = getattr(simulator, "model", None)
@@ -42,7 +53,18 @@ def problem_record(problem: Problem) -> dict[str, Any]:
 
 
 def data_sum(trajectories: Trajectories) -> str:
-    """Compute the SHA-256 of all arrays of `trajectories`, with their names and shapes."""
+    """Compute the SHA-256 of all arrays of trajectories, with their names and shapes.
+
+    Parameters
+    ----------
+    trajectories : Trajectories
+        The data.
+
+    Returns
+    -------
+    str
+        Hexadecimal digits.
+    """
     digest = hashlib.sha256()
     for field in fields(trajectories):
         array = getattr(trajectories, field.name)
@@ -53,7 +75,19 @@ def data_sum(trajectories: Trajectories) -> str:
 
 
 def plain(value: Any) -> Any:
-    """Make a `value` strict JSON: numbers that are not finite are null, objects their repr."""
+    """Make a value strict JSON.
+
+    Parameters
+    ----------
+    value : object
+        Anything.
+
+    Returns
+    -------
+    object
+        Containers, numbers and texts; None for numbers that are not finite, its repr for any other
+        object.
+    """
     if isinstance(value, np.ndarray):
         return plain(value.tolist())
     if isinstance(value, dict):

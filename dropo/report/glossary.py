@@ -105,13 +105,35 @@ def _marked(text: str, known: set[str]) -> str:
 
 
 def pattern(word: str) -> re.Pattern[str]:
-    """Return the pattern of a word of the glossary and its plural."""
+    """Make the pattern of a word of the glossary and its plural.
+
+    Parameters
+    ----------
+    word : str
+        The word.
+
+    Returns
+    -------
+    re.Pattern
+        Which ignores case, but for "MJCF" and "sd".
+    """
     form = FORMS.get(word, re.escape(word) + "s?")
     return re.compile(rf"(?<![\w-]){form}(?![\w-])", 0 if word in ("MJCF", "sd") else re.IGNORECASE)
 
 
 def meaning(text: str) -> str:
-    """Return the sentence of the first word of the glossary in a text; empty without."""
+    """Find the sentence of the first word of the glossary in a text.
+
+    Parameters
+    ----------
+    text : str
+        The text.
+
+    Returns
+    -------
+    str
+        The sentence; empty without such a word.
+    """
     found = [(hit.start(), word) for word in WORDS if (hit := pattern(word).search(text))]
     return WORDS[min(found)[1]] if found else ""
 

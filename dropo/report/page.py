@@ -164,7 +164,20 @@ def figure(svg: str, title: str, caption: str = "") -> str:
 
 
 def grid(*figures: str, small: bool = False) -> str:
-    """Put `figures` side by side, one below the other on a phone; `small` ones two by two there."""
+    """Put figures side by side, one below the other on a phone.
+
+    Parameters
+    ----------
+    *figures : str
+        Their HTML.
+    small : bool
+        Whether they stay two by two on a phone.
+
+    Returns
+    -------
+    str
+        HTML.
+    """
     return f'<div class="grid{" small" * small}">{"".join(figures)}</div>'
 
 
@@ -233,13 +246,35 @@ def legend(*entries: tuple[str, str, bool]) -> str:
 
 
 def notes(sentences: Sequence[str]) -> str:
-    """Make a list of `sentences`."""
+    """Make a list of sentences.
+
+    Parameters
+    ----------
+    sentences : sequence of str
+        Plain texts; what stands in backticks is code.
+
+    Returns
+    -------
+    str
+        HTML.
+    """
     items = "".join(f"<li>{_prose(sentence)}</li>" for sentence in sentences)
     return f'<ul class="notes">{items}</ul>'
 
 
 def paragraph(text: str) -> str:
-    """Make a paragraph of plain `text`; what stands in backticks is code."""
+    """Make a paragraph.
+
+    Parameters
+    ----------
+    text : str
+        Plain text; what stands in backticks is code.
+
+    Returns
+    -------
+    str
+        HTML.
+    """
     return f"<p>{_prose(text)}</p>"
 
 
@@ -249,12 +284,36 @@ def _prose(text: str) -> str:
 
 
 def plain(value: float, digits: int = 4) -> str:
-    """Print a `value` with so many `digits`; a dash where it is not finite."""
+    """Print a number.
+
+    Parameters
+    ----------
+    value : float
+        The number.
+    digits : int
+        Significant digits.
+
+    Returns
+    -------
+    str
+        A dash where the number is not finite.
+    """
     return f"{value:.{digits}g}" if np.isfinite(value) else "–"
 
 
 def percent(fraction: float) -> str:
-    """Print a `fraction` in per cent, with three digits; a dash where it is not finite."""
+    """Print a fraction in per cent, with three digits.
+
+    Parameters
+    ----------
+    fraction : float
+        The fraction.
+
+    Returns
+    -------
+    str
+        A dash where the fraction is not finite.
+    """
     if not np.isfinite(fraction):
         return "–"
     return "less than 0.001 %" if 0 < fraction < 1e-5 else f"{100 * fraction:.3g} %"

@@ -79,7 +79,22 @@ def _motion_text(found: Predictions, signal: str) -> str:
 
 
 def inside(found: Predictions, side: Side, i: int) -> float:
-    """Count how many measurements of signal `i` are inside the band of a `side`, as a fraction."""
+    """Compute how much of a signal is inside a band.
+
+    Parameters
+    ----------
+    found : Predictions
+        What was measured.
+    side : Side
+        Predictions of one model, with their band.
+    i : int
+        The signal.
+
+    Returns
+    -------
+    float
+        Fraction of the measurements.
+    """
     low, high = side.band[..., i]
     return float(np.mean((found.measured[..., i] >= low) & (found.measured[..., i] <= high)))
 

@@ -90,7 +90,22 @@ def picture(
 
 
 def rows(count: int, each: float = ROW, more: float = HEAD) -> tuple[float, float]:
-    """Give the size [in] of a figure with `count` rows of height `each`, and `more` beside."""
+    """Give the size of a figure that grows with its rows.
+
+    Parameters
+    ----------
+    count : int
+        Number of rows.
+    each : float
+        Height of a row [in].
+    more : float
+        Height of what is beside the rows [in].
+
+    Returns
+    -------
+    width, height : float
+        Size of the figure [in].
+    """
     return SIZE[0], more + each * count
 
 

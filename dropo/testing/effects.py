@@ -58,7 +58,7 @@ def check_effect(
     segments: Segments,
     settings: EffectCheckSettings = DEFAULTS,
 ) -> None:
-    """Checks that an effect keeps to the contract of effects on a simulator's robot.
+    """Check that an effect keeps to the contract of effects on a simulator's robot.
 
     Checked are labels, bounds and trials; that magnitude 0 is the base model bit for bit, and tiny
     magnitudes are close to it; that responses to small magnitudes are proportional to them where

@@ -15,7 +15,7 @@ MAX_Z = 4.5
 def check_estimator(
     estimator: Estimator, problem: Problem, *, tolerance: float = 0.0, max_z: float = MAX_Z
 ) -> Fit:
-    """Checks that an estimator keeps to the contract of `Estimator` on a problem.
+    """Check that an estimator keeps to the contract of `Estimator` on a problem.
 
     Parameters
     ----------

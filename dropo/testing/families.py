@@ -26,7 +26,7 @@ def _spaces() -> tuple[ParameterSpace, ParameterSpace]:
 def check_family(
     factory: Callable[[ParameterSpace], Family], *, draws: int = 20_000, max_z: float = MAX_Z
 ) -> None:
-    """Checks that the families which a factory makes keep to the contract of `Family`.
+    """Check that the families which a factory makes keep to the contract of `Family`.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def _check_feasible(family: Family) -> None:
 
 
 def z_of_mean(values: Array, claimed: Array) -> Array:
-    """Returns the error of a claimed mean in standard errors.
+    """Return the error of a claimed mean in standard errors.
 
     Parameters
     ----------
@@ -189,7 +189,7 @@ def z_of_mean(values: Array, claimed: Array) -> Array:
 
 
 def z_of_sd(values: Array, claimed: Array) -> Array:
-    """Returns the error of a claimed standard deviation in standard errors.
+    """Return the error of a claimed standard deviation in standard errors.
 
     Parameters
     ----------
@@ -214,7 +214,7 @@ def z_of_sd(values: Array, claimed: Array) -> Array:
 
 
 def z_of_correlation(values: Array, claimed: Array) -> Array:
-    """Returns the error of a claimed correlation matrix in standard errors.
+    """Return the error of a claimed correlation matrix in standard errors.
 
     Parameters
     ----------

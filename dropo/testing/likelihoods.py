@@ -26,7 +26,7 @@ _Density = Callable[[Array, Array, Array], Array]
 
 
 def check_likelihood(likelihood: Likelihood) -> None:
-    """Checks that a likelihood keeps to the contract of `Likelihood`.
+    """Check that a likelihood keeps to the contract of `Likelihood`.
 
     It is bound to a small linear problem; the density of a `SampledLikelihood` is checked by itself
     too.
@@ -84,7 +84,7 @@ class Line(Simulator):
 def line_data(
     rng: np.random.Generator, *, mean: float = 2.0, sd: float = 0.3, rows: int = 40
 ) -> Trajectories:
-    """Returns transitions of `Line`, each with its own draw of both parameters.
+    """Return transitions of `Line`, each with its own draw of both parameters.
 
     Parameters
     ----------

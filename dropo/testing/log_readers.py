@@ -14,7 +14,7 @@ KINDS = "biufMU"  # numpy's kinds of numbers, dates and texts
 
 
 def check_log_reader(reader: Callable[[Path], Log], path: str | Path) -> None:
-    """Checks that a reader of logs keeps to the contract, on a log that it can read.
+    """Check that a reader of logs keeps to the contract, on a log that it can read.
 
     Parameters
     ----------

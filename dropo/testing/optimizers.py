@@ -38,7 +38,17 @@ class Sphere:
         return float(np.sum((point - CENTRE) ** 2))
 
     def gradient(self, point: Array) -> Array:
-        """Returns the gradient (m,) at a point (m,)."""
+        """Compute the gradient of the squared distance to the centre.
+
+        Parameters
+        ----------
+        point : (m,) array
+            Where.
+
+        Returns
+        -------
+        (m,) array
+        """
         return np.asarray(2 * (point - CENTRE))
 
 
@@ -48,12 +58,22 @@ class Cost(Protocol):
     def __call__(self, point: Array) -> float: ...
 
     def gradient(self, point: Array) -> Array:
-        """Returns the gradient (m,) at a point (m,)."""
+        """Compute the gradient of the cost.
+
+        Parameters
+        ----------
+        point : (m,) array
+            Where.
+
+        Returns
+        -------
+        (m,) array
+        """
 
 
 @contextmanager
 def no_global_stream(name: str) -> Iterator[None]:
-    """Asserts that a block leaves numpy's global random stream alone, and restores its state.
+    """Assert that a block leaves numpy's global random stream alone, and restore its state.
 
     Parameters
     ----------
@@ -64,6 +84,10 @@ def no_global_stream(name: str) -> Iterator[None]:
     ------
     AssertionError
         If the block draws from the stream or seeds it.
+
+    Yields
+    ------
+    None
     """
     original = np.random.get_state()  # noqa: NPY002
     # a state that no plug-in arrives at by seeding the stream the same way twice
@@ -101,7 +125,7 @@ def answer(optimizer: Optimizer, cost: Cost) -> Array:
 def drive(
     optimizer: Optimizer, cost: Cost, *, batches: int | None = None
 ) -> tuple[Array, str | None]:
-    """Runs an optimizer until it stops or its budget or the number of batches is used up.
+    """Run an optimizer until it stops or its budget or the number of batches is used up.
 
     Parameters
     ----------
@@ -134,7 +158,7 @@ def drive(
 
 
 def check_optimizer(factory: Factory, *, tolerance: float = 1e-3, budget: int = 4000) -> None:
-    """Checks that the optimizers which a factory makes keep to the contract of `Optimizer`.
+    """Check that the optimizers which a factory makes keep to the contract of `Optimizer`.
 
     Parameters
     ----------

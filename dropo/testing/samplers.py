@@ -31,7 +31,20 @@ class Gaussian:
         return self.value_score_information(points)[0]
 
     def value_score_information(self, points: Array) -> tuple[Array, Array]:
-        """Returns log densities (W,) and gradients (W, 2) at `points` (W, 2)."""
+        """Compute log densities and their gradients.
+
+        Parameters
+        ----------
+        points : (W, 2) array
+            Where.
+
+        Returns
+        -------
+        values : (W,) array
+            Log densities less a constant.
+        scores : (W, 2) array
+            Gradients.
+        """
         solved = (points - MEAN) @ self.precision
         return -0.5 * ((points - MEAN) * solved).sum(axis=1), -solved
 
@@ -43,7 +56,20 @@ class Flat:
         return np.zeros(len(points))
 
     def value_score_information(self, points: Array) -> tuple[Array, Array]:
-        """Returns log densities (W,) and gradients (W, 2) at `points` (W, 2)."""
+        """Compute log densities and their gradients, which are 0.
+
+        Parameters
+        ----------
+        points : (W, 2) array
+            Where.
+
+        Returns
+        -------
+        values : (W,) array
+            Log densities less a constant.
+        scores : (W, 2) array
+            Gradients.
+        """
         return np.zeros(len(points)), np.zeros(points.shape)
 
 
@@ -52,7 +78,7 @@ flat = Flat()
 
 
 def check_sampler(sampler: Sampler, *, max_r_hat: float = 1.05, max_z: float = MAX_Z) -> None:
-    """Checks that a sampler keeps to the contract of `Sampler`.
+    """Check that a sampler keeps to the contract of `Sampler`.
 
     Parameters
     ----------

@@ -21,7 +21,7 @@ def check_simulator(
     diverging: ArrayLike | None = None,
     rtol: float = 1e-3,
 ) -> None:
-    """Checks that a simulator keeps to the contract of `Simulator` on some segments.
+    """Check that a simulator keeps to the contract of `Simulator` on some segments.
 
     Parameters
     ----------

@@ -92,7 +92,18 @@ class Calibration(Report):
         return together(self.p_values)
 
     def band(self, level: float = 0.95) -> Array:
-        """As `rank_band` (levels,) of so many replications."""
+        """Compute the band of ranks for this number of replications.
+
+        Parameters
+        ----------
+        level : float
+            Probability that all ranks of a right method are within the band.
+
+        Returns
+        -------
+        (levels,) array
+            As of `rank_band`.
+        """
         return rank_band(len(self.ranks), level=level, levels=self.levels)
 
     def parts(self) -> list[str | Table]:
@@ -396,7 +407,18 @@ def posterior_draws(fit: Fit) -> Array:
 
 
 def together(p_values: Array) -> float:
-    """The p-value of several tests together, by Bonferroni's inequality."""
+    """Combine the p-values of several tests by Bonferroni's inequality.
+
+    Parameters
+    ----------
+    p_values : (m,) array
+        p-values of m tests.
+
+    Returns
+    -------
+    float
+        The p-value of all of them together.
+    """
     return min(1.0, len(p_values) * float(p_values.min()))
 
 

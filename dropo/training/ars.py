@@ -79,7 +79,18 @@ class Search:
 
     @classmethod
     def new(cls, actions: int, observations: int) -> Self:
-        """Returns the state before the first update, for numbers of actions and observations."""
+        """Begin a search.
+
+        Parameters
+        ----------
+        actions, observations : int
+            Numbers q and o of actions and observations.
+
+        Returns
+        -------
+        Search
+            The state before the first update, with weights (q, o) of 0.
+        """
         return cls(
             weights=np.zeros((actions, observations)),
             count=0,
@@ -99,7 +110,7 @@ class Search:
         return np.where(deviation > CONSTANT_BELOW, deviation, 1.0)
 
     def add_observations(self, values: Array) -> None:
-        """Updates count, mean and square by more observations.
+        """Update count, mean and square by more observations.
 
         Parameters
         ----------
@@ -121,12 +132,18 @@ class Search:
         self.count = total
 
     def save(self, folder: Path) -> None:
-        """Writes the state into a folder, whole or not at all."""
+        """Write the state into a folder, whole or not at all.
+
+        Parameters
+        ----------
+        folder : Path
+            Where the file `STATE_FILE` is written.
+        """
         write_npz(folder / STATE_FILE, asdict(self))
 
     @classmethod
     def load(cls, folder: Path, actions: int, observations: int) -> Self:
-        """Reads the state that `save` wrote into a folder.
+        """Read the state that `save` wrote into a folder.
 
         Parameters
         ----------

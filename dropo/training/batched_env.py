@@ -65,7 +65,7 @@ class _Streams:
 
     @classmethod
     def from_seed(cls, seed: int | None) -> "_Streams":
-        """Returns three independent generators."""
+        """Return three independent generators."""
         draws, starts, noise = np.random.default_rng(seed).spawn(3)
         return cls(draws, starts, noise)
 
@@ -141,7 +141,7 @@ class BatchedEnv(ABC):
         self._streams = [_Streams.from_seed(None) for _ in range(self.count)]
 
     def reset(self, ids: Ints, seeds: Seeds) -> Array:
-        """Starts an episode in some of the environments.
+        """Start an episode in some of the environments.
 
         Parameters
         ----------
@@ -167,7 +167,7 @@ class BatchedEnv(ABC):
         return self._reset(ids, seeds)
 
     def step(self, ids: Ints, actions: Array) -> Outcome:
-        """Makes one step in some of the environments.
+        """Make one step in some of the environments.
 
         Parameters
         ----------
@@ -187,7 +187,18 @@ class BatchedEnv(ABC):
         return outcome
 
     def describe(self, i: int) -> dict[str, float]:
-        """Returns the parameters of environment i's present episode by name."""
+        """Name the parameters of one environment's present episode.
+
+        Parameters
+        ----------
+        i : int
+            The environment.
+
+        Returns
+        -------
+        dict of str to float
+            By parameter, in its unit.
+        """
         return dict(zip(self.distribution.space.names, self.draws[i].tolist(), strict=True))
 
     def close(self) -> None:  # noqa: B027 - most hold nothing
@@ -232,7 +243,7 @@ class BatchedEnv(ABC):
 def noise_deviation(
     noise: ArrayLike | None, distribution: ParameterDistribution, signals: int
 ) -> Array:
-    """Returns the standard deviation of each signal's noise.
+    """Return the standard deviation of each signal's noise.
 
     Parameters
     ----------

@@ -69,7 +69,7 @@ def bind(
 
 
 def field_parameters(distribution: ParameterDistribution, owner: str) -> list[FieldParameter]:
-    """Returns a distribution's parameters that are numbers of a model.
+    """Return a distribution's parameters that are numbers of a model.
 
     They can be declared in another simulator. Magnitudes of effects are left out.
 
@@ -119,7 +119,7 @@ def declare(
     frame_skip: int,
     fixed: ActiveEffects,
 ) -> MujocoSimulator:
-    """Returns a simulator of a compiled model that declares a distribution's parameters.
+    """Return a simulator of a compiled model that declares a distribution's parameters.
 
     Parameters
     ----------

@@ -23,7 +23,20 @@ class ParameterDistribution(Protocol):
         """The mean (d,), at which a curriculum begins."""
 
     def sample(self, draws: int, rng: Generator) -> Array:
-        """Returns independent parameter vectors (K, d), K = `draws`."""
+        """Draw independent parameter vectors.
+
+        Parameters
+        ----------
+        draws : int
+            Number K of vectors.
+        rng : numpy.random.Generator
+            What random numbers come from.
+
+        Returns
+        -------
+        (K, d) array
+            In the parameters' units.
+        """
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +64,7 @@ class Point:
         object.__setattr__(self, "mean", mean)
 
     def sample(self, draws: int, rng: Generator) -> Array:
-        """Returns copies of the mean (K, d), K = `draws`."""
+        """Return copies of the mean (K, d), K = `draws`."""
         return np.tile(self.mean, (draws, 1))
 
 
@@ -98,7 +111,7 @@ class Uniform:
         return self.bounds.mean(axis=0)
 
     def sample(self, draws: int, rng: Generator) -> Array:
-        """Returns independent draws (K, d), K = `draws`."""
+        """Return independent draws (K, d), K = `draws`."""
         low, high = self.bounds
         return low + rng.random((draws, len(self.space))) * (high - low)
 
@@ -126,14 +139,14 @@ class Predictive:
         return self.fit.mean
 
     def sample(self, draws: int, rng: Generator) -> Array:
-        """Returns independent draws (K, d), K = `draws`, all physically possible."""
+        """Return independent draws (K, d), K = `draws`, all physically possible."""
         values = self.fit.sample(draws, rng)
         errors = np.nan_to_num(self.fit.mean_se)
         return self.space.feasible(values + errors * rng.standard_normal(values.shape))
 
 
 def predictive(distribution: ParameterDistribution) -> ParameterDistribution:
-    """Adds to a fit's spread what is not known of its means.
+    """Add to a fit's spread what is not known of its means.
 
     Parameters
     ----------
@@ -188,23 +201,45 @@ class Curriculum:
         return self.distribution.mean
 
     def sample(self, draws: int, rng: Generator) -> Array:
-        """Returns independent draws (K, d) at the full width, K = `draws`."""
+        """Return independent draws (K, d) at the full width, K = `draws`."""
         return self.distribution.sample(draws, rng)
 
     def fraction(self, done: int) -> float:
-        """Returns the fraction of the full width after `done` control steps of training."""
+        """Compute how wide the distribution is in the course of training.
+
+        Parameters
+        ----------
+        done : int
+            Control steps of training so far.
+
+        Returns
+        -------
+        float
+            Fraction of the full width, from `start` to 1.
+        """
         return self.start + (1 - self.start) * min(1.0, done / self.steps)
 
 
 def full_width(distribution: ParameterDistribution) -> ParameterDistribution:
-    """Returns what a curriculum grows to, and the fit of a predictive distribution."""
+    """Find what a curriculum grows to, and the fit of a predictive distribution.
+
+    Parameters
+    ----------
+    distribution : ParameterDistribution
+        Any.
+
+    Returns
+    -------
+    ParameterDistribution
+        Itself where it is neither of them.
+    """
     if isinstance(distribution, Curriculum):
         return full_width(distribution.distribution)
     return distribution.fit if isinstance(distribution, Predictive) else distribution
 
 
 def draw(distribution: ParameterDistribution, rng: Generator, done: int) -> Array:
-    """Draws one parameter vector.
+    """Draw one parameter vector.
 
     Parameters
     ----------
@@ -228,14 +263,35 @@ def draw(distribution: ParameterDistribution, rng: Generator, done: int) -> Arra
 
 
 def variances_of(distribution: ParameterDistribution) -> Array | None:
-    """Returns the noise variances (p,) that a fit learned, or None for any other distribution."""
+    """Find the noise that a fit learned.
+
+    Parameters
+    ----------
+    distribution : ParameterDistribution
+        Any.
+
+    Returns
+    -------
+    (p,) array or None
+        Variances in the signals' units squared; None for what is no fit.
+    """
     return getattr(full_width(distribution), "epsilon", None)
 
 
 def places_of(distribution: ParameterDistribution) -> dict[str, dict[str, Any]]:
-    """Returns where in a model each parameter is: field, element and index, by parameter name.
+    """Find where in a model each parameter is.
 
     A fit keeps these. Magnitudes of effects and parameters of other simulators have no place.
+
+    Parameters
+    ----------
+    distribution : ParameterDistribution
+        Any.
+
+    Returns
+    -------
+    dict of str to dict
+        Field, element and index by parameter name.
     """
     distribution = full_width(distribution)
     own = {p.name: place for p in distribution.space if (place := p.place)}

@@ -43,7 +43,7 @@ def randomize(
     uncertainty: bool = True,
     **options: Any,
 ) -> "RandomizedEnv | TaskEnv | RandomizedVectorEnv":
-    """Makes a Gymnasium environment whose parameters are drawn anew for every episode.
+    """Make a Gymnasium environment whose parameters are drawn anew for every episode.
 
     `info["parameters"]` of `reset` holds the draw. An episode whose simulation diverges is
     truncated, with `info["broken"]`.
@@ -109,7 +109,7 @@ def randomize(
 
 
 def resolve(target: Target, *, trusted: bool = True) -> Target:
-    """Loads a problem by its name or file.
+    """Load a problem by its name or file.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ def batched_env(
     threads: int = 1,
     **options: Any,
 ) -> BatchedEnv:
-    """Makes environments that are simulated together.
+    """Make environments that are simulated together.
 
     Parameters
     ----------
@@ -295,7 +295,7 @@ class RandomizedEnv(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Recor
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Draws parameters and begins an episode, as `gymnasium.Env.reset`.
+        """Draw parameters and begin an episode, as `gymnasium.Env.reset`.
 
         Parameters
         ----------
@@ -314,7 +314,24 @@ class RandomizedEnv(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Recor
         return _reset_one(self.batched_env, seed)
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Makes a step with an `action` (q,), as `gymnasium.Env.step`; `info` may hold "broken"."""
+        """Make a control step, as `gymnasium.Env.step`.
+
+        Parameters
+        ----------
+        action : (q,) array_like
+            The action, in the units of the action space.
+
+        Returns
+        -------
+        observation : array
+            The next observation.
+        reward : float
+            The step's reward.
+        terminated, truncated : bool
+            Whether the episode has ended, or was cut off.
+        info : dict
+            With "broken" where the simulation broke.
+        """
         return _step_one(self.batched_env, action)
 
 
@@ -339,7 +356,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Draws parameters and begins an episode, as `gymnasium.Env.reset`.
+        """Draw parameters and begin an episode, as `gymnasium.Env.reset`.
 
         Parameters
         ----------
@@ -359,7 +376,24 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         return _reset_one(self.batched_env, seed)
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Makes a step with an `action` (q,), as `gymnasium.Env.step`; `info` may hold "broken"."""
+        """Make a control step, as `gymnasium.Env.step`.
+
+        Parameters
+        ----------
+        action : (q,) array_like
+            The action, in the units of the action space.
+
+        Returns
+        -------
+        observation : array
+            The next observation.
+        reward : float
+            The step's reward.
+        terminated, truncated : bool
+            Whether the episode has ended, or was cut off.
+        info : dict
+            With "broken" where the simulation broke.
+        """
         return _step_one(self.batched_env, action)
 
 
@@ -422,7 +456,7 @@ class RandomizedVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Array, dict[str, Any]]:
-        """Resets all, as `gymnasium.vector.VectorEnv.reset`.
+        """Reset all, as `gymnasium.vector.VectorEnv.reset`.
 
         Parameters
         ----------
@@ -450,7 +484,26 @@ class RandomizedVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         return self._observations.copy(), {"parameters": self._parameters()}
 
     def step(self, actions: Any) -> tuple[Array, Array, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Makes a step with all actions (count, q), as `gymnasium.vector.VectorEnv.step`."""
+        """Make a control step of all environments, as `gymnasium.vector.VectorEnv.step`.
+
+        An environment whose episode ended in the step before is reset instead.
+
+        Parameters
+        ----------
+        actions : (count, q) array_like
+            An action for each environment.
+
+        Returns
+        -------
+        observations : (count, o) array
+            The next observations.
+        rewards : (count,) array
+            Rewards; 0 where an environment is reset.
+        terminated, truncated : (count,) bool arrays
+            Whether episodes have ended, or were cut off.
+        info : dict
+            The parameters of the present episodes, and which simulations are broken.
+        """
         rewards = np.zeros(self.num_envs)
         terminated = np.zeros(self.num_envs, dtype=bool)
         truncated = np.zeros(self.num_envs, dtype=bool)
@@ -477,5 +530,11 @@ class RandomizedVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         return dict(zip(names, self.batched_env.draws.T.copy(), strict=True))
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Closes the environments."""
+        """Close the environments.
+
+        Parameters
+        ----------
+        **kwargs
+            Without effect.
+        """
         self.batched_env.close()

@@ -56,11 +56,11 @@ class Returns(Report):
         return float(self.returns.std(ddof=1) / math.sqrt(n)) if n > 1 else math.nan
 
     def parts(self) -> list[str | Table]:
-        """Returns a table of one row."""
+        """Return a table of one row."""
         return Compared({self.target: self}).parts()
 
     def to_json(self) -> dict[str, Any]:
-        """Returns all results as JSON."""
+        """Return all results as JSON."""
         error = self.standard_error
         return {
             "target": self.target,
@@ -90,7 +90,7 @@ class Compared(Report):
     warnings: tuple[str, ...] = ()
 
     def parts(self) -> list[str | Table]:
-        """Returns a table with a row for each evaluation, and the warnings."""
+        """Return a table with a row for each evaluation, and the warnings."""
         head = ("on", "episodes", "return", "se", "lowest", "highest", "steps", "not ended early")
         rows = []
         warnings = []
@@ -103,7 +103,18 @@ class Compared(Report):
 
 
 def broken(count: int) -> str:
-    """Returns a sentence on the number (`count`) of draws that broke the simulation."""
+    """Say how many draws broke the simulation.
+
+    Parameters
+    ----------
+    count : int
+        The number.
+
+    Returns
+    -------
+    str
+        A sentence without a full stop.
+    """
     return f"{count} draws of the parameters broke the simulation and were drawn again"
 
 
@@ -132,7 +143,7 @@ def evaluate(
     threads: int = 1,
     batch_size: int = 32,
 ) -> Returns:
-    """Evaluates a policy on a target in independent episodes.
+    """Evaluate a policy on a target in independent episodes.
 
     The same `rng` gives every policy the same draws and starts.
 
@@ -219,7 +230,7 @@ def _true_parameters(problem: Problem, truth: Mapping[str, float]) -> Point:
 def motion(
     policy: Policy, target: Target, *, steps: int | None = None, rng: np.random.Generator | int = 0
 ) -> tuple[Array, Any, float]:
-    """Runs one episode for display.
+    """Run one episode for display.
 
     Parameters
     ----------

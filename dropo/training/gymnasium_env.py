@@ -165,7 +165,7 @@ class BatchedGymnasiumEnv(BatchedEnv):
         mujoco.mj_rnePostConstraint(inner.model, inner.data)
 
     def close(self) -> None:
-        """Closes the environments."""
+        """Close the environments."""
         for env in self.envs:
             env.close()
 

@@ -66,7 +66,18 @@ class NetworkPolicy(Policy):
         return np.asarray(actions, dtype=float)
 
     def save(self, path: str | Path) -> Path:
-        """Writes JSON to a `path`, and the network's zip beside it; returns the JSON file."""
+        """Write the policy as JSON, and the network's zip beside it.
+
+        Parameters
+        ----------
+        path : str or Path
+            A .json file, or a folder.
+
+        Returns
+        -------
+        Path
+            The JSON file.
+        """
         scale = None
         if self.mean is not None and self.deviation is not None:
             scale = {"mean": self.mean.tolist(), "deviation": self.deviation.tolist()}
@@ -86,7 +97,7 @@ class NetworkPolicy(Policy):
     def read(
         cls, path: Path, content: dict[str, Any], limits: Array, about: dict[str, Any]
     ) -> "NetworkPolicy":
-        """Reads the policy of a JSON file with its zip beside it.
+        """Read the policy of a JSON file with its zip beside it.
 
         Parameters
         ----------
@@ -180,7 +191,7 @@ class SAC:
     def train(
         self, setup: TrainingSetup, rng: Generator, folder: Path | None, progress: Progress
     ) -> NetworkPolicy:
-        """Trains a network.
+        """Train a network.
 
         Parameters
         ----------
@@ -255,7 +266,7 @@ class PPO:
     def train(
         self, setup: TrainingSetup, rng: Generator, folder: Path | None, progress: Progress
     ) -> NetworkPolicy:
-        """Trains a network.
+        """Train a network.
 
         Parameters
         ----------
@@ -310,7 +321,7 @@ class _Training:
     def run(
         self, setup: TrainingSetup, rng: Generator, folder: Path | None, progress: Progress
     ) -> NetworkPolicy:
-        """Trains to the end and returns the policy."""
+        """Train to the end and return the policy."""
         _algorithms()  # refuses before anything is made
         import torch
 

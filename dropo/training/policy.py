@@ -49,7 +49,7 @@ class Policy(ABC):
 
     @abstractmethod
     def save(self, path: str | Path) -> Path:
-        """Writes the policy into a file.
+        """Write the policy into a file.
 
         Parameters
         ----------
@@ -63,7 +63,7 @@ class Policy(ABC):
         """
 
     def check(self, observations: int, limits: Array, target: str) -> None:
-        """Checks that the policy fits a target.
+        """Check that the policy fits a target.
 
         Parameters
         ----------
@@ -134,7 +134,18 @@ class LinearPolicy(Policy):
         return linear(self.weights, self.mean, self.deviation, self.limits, observations)
 
     def save(self, path: str | Path) -> Path:
-        """Writes the policy as JSON to a `path`: a .json file, or a folder; returns the file."""
+        """Write the policy as JSON.
+
+        Parameters
+        ----------
+        path : str or Path
+            A .json file, or a folder.
+
+        Returns
+        -------
+        Path
+            The file.
+        """
         content = {
             "kind": "linear",
             "weights": self.weights.tolist(),
@@ -149,7 +160,7 @@ class LinearPolicy(Policy):
 def linear(
     weights: Array, mean: Array, deviation: Array, limits: Array, observations: Array
 ) -> Array:
-    """Returns the actions of linear policies, in sums that no library splits among threads.
+    """Return the actions of linear policies, in sums that no library splits among threads.
 
     Parameters
     ----------
@@ -175,12 +186,34 @@ def linear(
 
 
 def written_limits(limits: Array) -> list[list[float | None]]:
-    """Returns limits (2, q) as JSON, with null for infinite ones."""
+    """Write limits of actions as JSON.
+
+    Parameters
+    ----------
+    limits : (2, q) array
+        Lowest and highest actions.
+
+    Returns
+    -------
+    list of list of float or None
+        Two rows; None for infinite limits.
+    """
     return [[float(value) if np.isfinite(value) else None for value in row] for row in limits]
 
 
 def read_limits(rows: list[list[float | None]]) -> Array:
-    """Returns limits (2, q) from JSON (`rows`), infinite where it has null."""
+    """Read limits of actions from JSON.
+
+    Parameters
+    ----------
+    rows : list of list of float or None
+        Two rows, as `written_limits` gives them.
+
+    Returns
+    -------
+    (2, q) array
+        Lowest and highest actions, infinite where there is None.
+    """
     low, high = rows
     return np.array(
         [
@@ -191,7 +224,7 @@ def read_limits(rows: list[list[float | None]]) -> Array:
 
 
 def write(path: str | Path, content: dict[str, Any]) -> Path:
-    """Writes a policy's JSON, whole or not at all.
+    """Write a policy's JSON, whole or not at all.
 
     Parameters
     ----------
@@ -215,7 +248,7 @@ def write(path: str | Path, content: dict[str, Any]) -> Path:
 
 
 def load_policy(path: str | Path, *, trusted: bool = True) -> Policy:
-    """Reads the policy at a path.
+    """Read the policy at a path.
 
     Parameters
     ----------
@@ -266,6 +299,10 @@ def refuse_untrusted(path: Path) -> NoReturn:
     ------
     Incompatible
         In any case.
+
+    Returns
+    -------
+    NoReturn
     """
     raise Incompatible(
         f"{path}: a network, whose file may hold Python code, is read only where it is trusted: "

@@ -37,7 +37,7 @@ class Rollout:
 
 
 def rollout(batched_env: BatchedEnv, act: Act, seeds: Ints) -> Rollout:
-    """Runs an episode for each seed; those whose simulation diverges are run again from new draws.
+    """Run an episode for each seed; those whose simulation diverges are run again from new draws.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ def _run_once(batched_env: BatchedEnv, act: Act, ids: Ints, seeds: Ints) -> tupl
 
 
 def rollout_many(batched_env: BatchedEnv, act: Act, seeds: Ints) -> Rollout:
-    """Runs an episode for each of any number of seeds, in blocks; observations are not kept.
+    """Run an episode for each of any number of seeds, in blocks; observations are not kept.
 
     Parameters
     ----------
@@ -151,5 +151,18 @@ def rollout_many(batched_env: BatchedEnv, act: Act, seeds: Ints) -> Rollout:
 
 
 def draw_seeds(rng: np.random.Generator, n: int) -> Ints:
-    """Returns `n` random seeds of episodes (n,)."""
+    """Draw seeds of episodes.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        What random numbers come from.
+    n : int
+        Number of seeds.
+
+    Returns
+    -------
+    (n,) int array
+        Between 0 and 2^62.
+    """
     return rng.integers(2**62, size=n)

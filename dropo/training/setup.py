@@ -43,7 +43,7 @@ class TrainingSetup:
     threads: int = 1
 
     def batched_env(self, count: int, *, at_full_width: bool = False) -> BatchedEnv:
-        """Makes environments that are simulated together.
+        """Make environments that are simulated together.
 
         Parameters
         ----------
@@ -76,7 +76,7 @@ class TrainingSetup:
         )
 
     def env(self) -> Any:
-        """Makes one environment of Gymnasium's kind (gymnasium.Env)."""
+        """Make one environment of Gymnasium's kind (gymnasium.Env)."""
         return randomize(
             self.target, self.distribution, noise=self.noise, effects=self.effects, steps=self.steps
         )

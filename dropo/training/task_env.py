@@ -125,7 +125,7 @@ class BatchedTaskEnv(BatchedEnv):
 
 
 def task_of(problem: Problem) -> Task:
-    """Returns the task of a problem.
+    """Return the task of a problem.
 
     Parameters
     ----------

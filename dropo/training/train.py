@@ -29,7 +29,7 @@ class Algorithm(Protocol):
     def train(
         self, setup: TrainingSetup, rng: Generator, folder: Path | None, progress: Progress
     ) -> Policy:
-        """Trains a policy.
+        """Train a policy.
 
         Parameters
         ----------
@@ -63,7 +63,7 @@ def train(
     progress: Progress | None = None,
     trusted: bool = True,
 ) -> Policy:
-    """Trains a policy under a distribution of the target's parameters, drawn for every episode.
+    """Train a policy under a distribution of the target's parameters, drawn for every episode.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def train(
 
 
 def about(setup: TrainingSetup, algorithm: Algorithm) -> dict[str, Any]:
-    """Returns what a policy's file says about its training, as JSON.
+    """Return what a policy's file says about its training, as JSON.
 
     Parameters
     ----------
@@ -159,14 +159,36 @@ def about(setup: TrainingSetup, algorithm: Algorithm) -> dict[str, Any]:
 
 
 def settings(algorithm: Algorithm) -> dict[str, Any]:
-    """Returns an algorithm's settings as JSON."""
+    """Write an algorithm's settings as JSON.
+
+    Parameters
+    ----------
+    algorithm : Algorithm
+        A dataclass.
+
+    Returns
+    -------
+    dict
+        Plain values by field.
+    """
     assert dataclasses.is_dataclass(algorithm)
     assert not isinstance(algorithm, type)
     return asdict(algorithm)
 
 
 def distribution_name(distribution: ParameterDistribution | None) -> str:
-    """Returns a few words on a distribution."""
+    """Describe a distribution in a few words.
+
+    Parameters
+    ----------
+    distribution : ParameterDistribution or None
+        What parameters are drawn from; None for the model's own.
+
+    Returns
+    -------
+    str
+        Words for the middle of a sentence.
+    """
     if distribution is None:
         return "the model as it is"
     if isinstance(distribution, Curriculum):

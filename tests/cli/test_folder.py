@@ -32,7 +32,7 @@ def names(folder: Path) -> list[str]:
 def begin(out: Path, record: dict[str, Any], error: Exception | None = None) -> None:
     """Begin a run in a folder, which writes a file and then fails, where an error is given."""
     with run_folder(out) as folder:
-        folder.begin(record)
+        folder.claim(record)
         log = folder.file("log")
         if error is not None and log is not None:
             if not log.exists():
@@ -45,11 +45,11 @@ def test_it_is_made_and_keeps_the_record(tmp_path: Path) -> None:
     out = tmp_path / "a" / "b"
     with run_folder(out) as folder:
         assert names(out) == [LOCK]
-        folder.begin(RECORD)
+        folder.claim(RECORD)
     assert names(out) == ["run.json"]
     assert json.loads((out / "run.json").read_text()) == RECORD
     with run_folder(out) as folder:
-        folder.begin(RECORD)
+        folder.claim(RECORD)
     with pytest.raises(BadFile, match="seed: expected the settings of this run"):
         begin(out, {**RECORD, "seed": 1})
     assert names(out) == ["run.json"]
@@ -60,7 +60,7 @@ def test_without_a_folder_nothing_is_written(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     with run_folder(None) as folder:
-        folder.begin(RECORD)
+        folder.claim(RECORD)
         assert folder.file("a") is None
     assert names(tmp_path) == []
 

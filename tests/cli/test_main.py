@@ -55,6 +55,14 @@ def test_every_command_has_help(command: list[str], capsys: pytest.CaptureFixtur
     assert capsys.readouterr().out.startswith(f"usage: {' '.join(['dropo', *command])} ")
 
 
+def test_help_is_for_users(capsys: pytest.CaptureFixture[str]) -> None:
+    """It describes what the package does, not how its files are made."""
+    assert main(["--help"]) == 0
+    printed = capsys.readouterr().out
+    assert "Makes robot simulators honest" in printed
+    assert ".pyi" not in printed
+
+
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--version"]) == 0
     assert capsys.readouterr().out == f"dropo {dropo.__version__}\n"
@@ -65,7 +73,16 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     [
         ([], "The following arguments are required: COMMAND. See `dropo --help`."),
         (["fit"], "The following arguments are required: PROBLEM. See `dropo fit --help`."),
-        (["fit", "p", "--sede", "1"], "Unrecognized arguments: --sede 1. See `dropo --help`."),
+        (
+            ["fit", "hopper", "--optimzer", "x"],
+            "Unrecognized arguments: --optimzer x. Did you mean '--optimizer'? See `dropo fit"
+            " --help`.",
+        ),
+        (
+            ["data", "check", "p", "--mpa=x"],
+            "Unrecognized arguments: --mpa=x. Did you mean '--map'? See `dropo data check --help`.",
+        ),
+        (["fit", "p", "q"], "Unrecognized arguments: q. See `dropo fit --help`."),
         (["fit", "hoper"], "No problem called 'hoper'. Did you mean 'hopper'?"),
         (["list", "method"], "No kind called 'method'. Did you mean 'methods'?"),
         (["data", "check", "nothing"], None),

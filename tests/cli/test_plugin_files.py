@@ -15,7 +15,7 @@ from dropo.core.services.errors import BadFile
 from dropo.core.services.plugin_files import load_plugins
 from dropo.problems.file.writer import write_problem
 from dropo.problems.loading import load
-from tests.problems.test_reader import TEXT, XML, simulate
+from tests.models.problem_files import TEXT, XML, simulate
 
 PART = '''
 """An optimizer of one's own."""

@@ -12,8 +12,8 @@ from dropo.cli.main import main
 from dropo.core.services.strict_yaml import read_yaml
 from dropo.problems.file.writer import write_problem
 from tests.models.hidden_in_arm import UPPER, problem
-from tests.problems.test_malformed import MAPPING, PROBLEM
-from tests.problems.test_reader import REFUSALS, TEXT
+from tests.models.malformed import MAPPING, PROBLEM
+from tests.models.problem_files import REFUSALS, TEXT
 
 ROOT = Path(__file__).parents[2]
 BLOCK = re.compile(r"^```yaml\n(.*?)^```$", re.MULTILINE | re.DOTALL)

@@ -2,8 +2,10 @@
 
 import numpy as np
 
-from dropo.core.records.independent_units import MANY, units_of
-from tests.core.test_robust_covariance import trajectories
+from dropo.core.records.independent_units import SETTINGS, units_of
+from tests.models.dependent_rows import trajectories
+
+MANY = SETTINGS.many
 
 
 def test_units_are_what_nothing_crosses():

@@ -11,6 +11,7 @@ def test_holm() -> None:
     adjusted = holm([0.03, np.nan, 0.01, 0.02])
     np.testing.assert_allclose(adjusted, [0.04, np.nan, 0.03, 0.04])
     assert holm([0.9, 0.8]).tolist() == [1.0, 1.0]
+    np.testing.assert_allclose(holm([0.04, 0.01, 0.03]), [0.06, 0.03, 0.06])
 
 
 def test_the_level_holds_over_a_family_of_tests() -> None:

@@ -13,15 +13,6 @@ from dropo.core.numerics.dependence import (
 )
 from dropo.core.numerics.robust_covariance import few_units_sandwich, sandwich
 from dropo.core.numerics.tails import student_quantile
-from dropo.core.records.trajectories import Trajectories
-
-
-def trajectories(lengths, group=None):
-    """Transitions without content, of trajectories of these lengths."""
-    n = sum(lengths)
-    ends = np.zeros(n, dtype=bool)
-    ends[np.cumsum(lengths) - 1] = True
-    return Trajectories(np.arange(n)[:, None], np.zeros((n, 0)), np.zeros((n, 1)), ends, group)
 
 
 def autoregression(rho, series, steps, rng):

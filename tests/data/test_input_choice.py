@@ -9,10 +9,10 @@ import pytest
 
 from dropo.core.services.errors import BadArgument
 from dropo.data.outliers.input_choice import choose_input
-from tests.data.test_disturbances import STEP, recorded, simulator  # noqa: F401 - a fixture
+from tests.models.pushed_arm import STEP, recorded
 
 
-def test_the_input_that_acted_is_chosen(simulator):  # noqa: F811
+def test_the_input_that_acted_is_chosen(simulator):
     """Beside it stand one with noise of a tenth and one that came 20 ms late; parameters are fitted
     under each.
     """
@@ -31,7 +31,7 @@ def test_the_input_that_acted_is_chosen(simulator):  # noqa: F811
     assert "input to trust is 'command'" in str(found)
 
 
-def test_inputs_that_are_alike_are_not_told_apart(simulator):  # noqa: F811
+def test_inputs_that_are_alike_are_not_told_apart(simulator):
     """Two copies with noise of a thousandth: the gain is within its error."""
     true = recorded(simulator, {})
     rng = np.random.default_rng(2)
@@ -44,7 +44,7 @@ def test_inputs_that_are_alike_are_not_told_apart(simulator):  # noqa: F811
     assert "do not tell" in str(found)
 
 
-def test_other_observations_are_refused(simulator):  # noqa: F811
+def test_other_observations_are_refused(simulator):
     """Candidates are inputs of the same motion."""
     true = recorded(simulator, {})
     with pytest.raises(BadArgument, match="others under 'b'"):

@@ -16,11 +16,11 @@ from dropo.data.outliers.without_disturbances import (
     without_disturbances,
 )
 from dropo.problems.file.writer import write_problem
-from tests.data.test_disturbances import PUSHES, recorded, simulator  # noqa: F401 - a fixture
+from tests.models.pushed_arm import PUSHES, recorded
 
 
 @pytest.fixture(scope="module")
-def pushed(simulator):  # noqa: F811
+def pushed(simulator):
     """Three runs of which two are pushed, and three others held out of which one is."""
     held_out = recorded(simulator, {(1, 300, 340): 2.0}, seed=1)
     return Problem("pendulum", simulator, recorded(simulator, PUSHES), held_out=held_out)
@@ -47,7 +47,7 @@ def test_both_sides_lose_their_spans(pushed):
     assert both_sides(pushed).group.max() == 5
 
 
-def test_nothing_is_left_out_of_quiet_data(pushed, simulator):  # noqa: F811
+def test_nothing_is_left_out_of_quiet_data(pushed, simulator):
     """No pushes; and no search where segments cannot begin anew behind a span."""
     assert (
         remove_disturbances(replace(pushed, trajectories=recorded(simulator, {}), held_out=None))
@@ -56,7 +56,7 @@ def test_nothing_is_left_out_of_quiet_data(pushed, simulator):  # noqa: F811
     assert remove_disturbances(replace(pushed, reset="start")) is None
 
 
-def test_what_most_runs_show_is_the_models(simulator):  # noqa: F811
+def test_what_most_runs_show_is_the_models(simulator):
     """A push in five of nine runs is taken for the model's; in two of nine it is one."""
     for count, expected in ((5, 0), (2, 2)):
         data = [

@@ -11,8 +11,7 @@ from dropo import Diagnose
 from dropo.core.contracts.problem import Problem
 from dropo.mjmodel.fields import FieldParameter
 from dropo.simulators.mujoco.simulator import MujocoSimulator
-from tests.data import test_outlier_runs as payloads
-from tests.data.test_disturbances import PUSHES, STEP, XML, recorded
+from tests.models.pushed_arm import PUSHES, STEP, XML, recorded, with_payloads
 
 EFFECTS = ("joint_friction", "joint_damping")
 STRONG = {span: 2 * torque for span, torque in PUSHES.items()}
@@ -79,7 +78,7 @@ def test_without_pushes_nothing_is_left_out(smooth):
 
 def test_a_run_with_another_payload_is_named(smooth):
     """Of six runs the one with a heavier link, by its mass."""
-    found = diagnosed(smooth, payloads.recorded([0.6, 0.6, 0.6, 0.9, 0.6, 0.6]))
+    found = diagnosed(smooth, with_payloads([0.6, 0.6, 0.6, 0.9, 0.6, 0.6]))
     assert {run.run for run in found.outlier_runs} == {3}
     assert "Run 3 disagrees with the others" in found.headline()
     assert found.to_json()["odd_runs"][0]["run"] == 3

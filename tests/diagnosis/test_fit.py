@@ -1,10 +1,13 @@
 """Numbers fitted to whole motions, with errors that know what motions do not tell."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from dropo.diagnosis.far_off.fit import OutputError
-from dropo.diagnosis.far_off.motions import MotionSettings, motions_of
+from dropo.diagnosis.far_off.motions import MotionSettings, motions_of, moving
+from dropo.diagnosis.far_off.ties import ties_of
 from tests.models.far_off import torque_arm
 
 TRUTH = 0.01  # [kg m^2] at the elbow
@@ -52,13 +55,31 @@ def test_a_joint_that_mostly_rests_has_the_errors_of_its_motions(rotor):
     always moves has its own. A window that diverges has no say.
     """
     _, error, _ = rotor
-    rows = np.random.default_rng(0).normal(0.0, 0.1, (2, 500, len(error.motions.floor)))
-    rows[0, np.arange(500) % 5 > 0, 0] = 0.0
-    rows[1] = np.nan
-    resting, moving, *_ = error.scale_of(rows.reshape(2, -1))
-    assert 0.04 < resting < 0.1
+    shape = error.motions.moving.shape
+    rows = np.random.default_rng(0).normal(0.0, 0.1, shape)
+    rows[np.arange(len(rows)) % 5 > 0, 0] = 1e-4
+    motions = replace(error.motions)
+    motions.__dict__["moving"] = np.abs(rows) > 1e-4
+    rows[: len(rows) // len(motions.windows)] = np.nan
+    residuals = rows.reshape(len(motions.windows), -1)
+    resting, moving, *_ = OutputError(error.library, motions).scale_of(residuals)
+    assert 0.08 < resting < 0.12
     assert 0.09 < moving < 0.11
-    assert (error.scale_of(rows[1:].reshape(1, -1)) >= error.motions.noise).all()
+    none = np.full_like(residuals, np.nan)
+    assert (error.scale_of(none) >= motions.noise).all()
+
+
+def test_where_a_signal_moves():
+    """A signal that rests for four fifths of a window, with its encoder's noise, moves in the last
+    fifth; one that swings moves but where it turns.
+    """
+    time = np.linspace(0, 1, 500)
+    noise = np.random.default_rng(1).normal(0, 1e-4, (2, 500))
+    ramp = np.maximum(0.0, time - 0.8) + noise
+    swing = np.sin(2 * np.pi * time) + noise
+    rests, swings = moving(np.stack([ramp, swing], axis=2)).mean(axis=(0, 1))
+    assert 0.18 < rests < 0.24
+    assert 0.85 < swings < 1.0
 
 
 def test_directions_that_motions_do_not_tell_are_unknown():
@@ -77,6 +98,26 @@ def test_directions_that_motions_do_not_tell_are_unknown():
     assert (known[1:] > 0.05).all()
     assert (known[1:] < 0.25).all()
     assert free[0] < 0.1 * TRUTH
+
+
+def test_numbers_that_move_nothing_are_unknown():
+    """A payload's place across the plane in which an arm moves: it is known not at all, the rest
+    is, and no set of numbers that are told together has it.
+    """
+    model = torque_arm("joint_armature:elbow", "payload:fore")
+    mass, *place = model.library.places["payload:fore"]
+    theta = model.theta.copy()
+    theta[mass] = 0.05
+    model = model.at(theta)
+    motions = motions_of(model.problem, model.library, model.theta, SHORT)[0]
+    error = OutputError(model.library, motions)
+    end = error.linearize(model.theta, model.fitted, central=True)
+    covariance = error.covariance(end, np.zeros((5, 5)))
+    across = list(model.fitted).index(place[1])
+    others = np.delete(np.arange(5), across)
+    assert np.isinf(covariance[across, across])
+    assert np.isfinite(covariance[np.ix_(others, others)]).all()
+    assert not any(" y " in one for one in ties_of(model, covariance, end.free, 0.2))
 
 
 def test_a_number_at_its_bound_does_not_hold_the_others():

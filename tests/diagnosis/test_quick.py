@@ -7,10 +7,19 @@ import pytest
 
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import BadArgument, Incompatible
+from dropo.diagnosis.findings.fittable import fittable
 from dropo.diagnosis.regression.quick import QuickDiagnose
 from dropo.problems.file.writer import write_problem
 from dropo.problems.hopper.problem import hopper
 from dropo.problems.loading import load
+from dropo.studies.first_models.machines import (
+    Design,
+    built,
+    first_model,
+    problem_of,
+    random_machine,
+    recorded,
+)
 from dropo.studies.first_models.study import diagnosed
 from tests.models.first_models import problem_with, unknown_rotor
 
@@ -72,6 +81,22 @@ def test_nothing_is_missing_from_the_right_model():
     answer = diagnosed(["arm, 3 joints", "nothing missing", 13])
     assert answer["false"] == []
     assert answer["verdict"] == "consistent"
+
+
+def test_what_motions_do_not_tell_of_a_payload_is_not_said():
+    """Its height, where all axes are upright; what is left can be fitted as parameters."""
+    design = Design(("hinge z", "hinge z"), (0.3, 0.25), (1.5, 0.8), (60.0, 30.0), along="xx")
+    machine = replace(random_machine(design, np.random.default_rng(3)), gain=0.0)
+    made = built(first_model(design), machine)
+    data = recorded(made, design.servos, machine.delay, np.random.default_rng(4), runs=1)
+    diagnosis = QuickDiagnose().run(problem_of("upright", first_model(design), data))
+    payload = by_label(diagnosis)["payload", "body1"]
+    assert "z" not in payload
+    for letter in set("xy") & set(payload):
+        value = machine.place["xyz".index(letter)]
+        assert abs(payload[letter].value - value) < TOLERANCE * payload[letter].se
+    as_parameters = fittable(diagnosis.problem, diagnosis.causes)
+    assert len(as_parameters.space) >= len(diagnosis.causes)
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from dropo.diagnosis.far_off.search import FarOffSearch
 from dropo.diagnosis.search.confirmation import SelectionSettings
 from dropo.diagnosis.search.linearization import Library
 from dropo.diagnosis.search.screening import ScreeningSettings
-from tests.diagnosis.test_search import SETTINGS as FAR_OFF
+from tests.models.far_off import SETTINGS as FAR_OFF
 from tests.models.far_off import torque_arm
 from tests.models.hidden_in_arm import UPPER, problem
 

@@ -7,21 +7,15 @@ import numpy as np
 import pytest
 
 from dropo.core.contracts.estimator import silent
-from dropo.diagnosis.far_off.motions import MotionSettings
-from dropo.diagnosis.far_off.search import KNOWN, FarOffSearch, FarOffSettings
+from dropo.diagnosis.far_off.search import KNOWN, FarOffSearch
 from dropo.diagnosis.far_off.start import FarOffLimits, start_of
 from dropo.diagnosis.regression.quick import QuickSettings
 from dropo.mjmodel.robot_simulator import RobotSimulator
 from dropo.problems.simulated.hidden import hide
-from tests.models.far_off import torque_arm
+from tests.models.far_off import SETTINGS, torque_arm
 from tests.models.first_models import unknown_rotor
 
 TRUTH = 0.01  # [kg m^2] at the elbow
-SETTINGS = FarOffSettings(
-    laws=(),
-    families=(("joint_armature",), ("actuator_bias",)),
-    motions=MotionSettings(seconds=(0.1,), physics_steps=12_000),
-)
 
 
 def searched(model, settings=SETTINGS):

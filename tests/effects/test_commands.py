@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from tests.effects.test_physics import instance, predicted, same
+from tests.models.effects_on_arm import instance, predicted, same
 from tests.models.robots import ARM, CART, ROBOTS
 from tests.reference import effects as slow
 

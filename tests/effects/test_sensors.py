@@ -8,7 +8,7 @@ import pytest
 
 from dropo.core.records.trajectories import Trajectories
 from dropo.mjmodel.observation import exponential, multiply
-from tests.effects.test_physics import instance, predicted, same
+from tests.models.effects_on_arm import instance, predicted, same
 from tests.models.robots import ARM, ROBOTS
 from tests.reference.effects import replay
 

@@ -9,7 +9,7 @@ from dropo.core.services.errors import Incompatible
 from dropo.core.services.registry import find
 from dropo.problems.file.writer import write_problem
 from dropo.problems.loading import load
-from tests.effects.test_physics import instance
+from tests.models.effects_on_arm import instance
 from tests.models.robots import ROBOTS
 
 PAYLOAD = "parameter_drift:body_mass:upper"

@@ -142,8 +142,8 @@ def test_refusals():
         BadArgument, match="'particles' of EPOpt must be at least 20, ten a parameter"
     ):
         EPOpt(particles=19).fit(problem(epsilon=NOISE))
-    with pytest.raises(BadArgument, match="'least' of EPOpt must be a fraction"):
-        EPOpt(least=1.0)
+    with pytest.raises(BadArgument, match="'effective_fraction' of EPOpt must be a fraction"):
+        EPOpt(effective_fraction=1.0)
     with pytest.raises(
         Incompatible, match="'epopt' knows Gaussian noise on the compared rows alone"
     ):

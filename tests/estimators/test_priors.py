@@ -17,7 +17,7 @@ from dropo.estimators.least_squares import LeastSquares, estimate
 from dropo.estimators.random_effects import RandomEffects
 from dropo.estimators.support.standard_errors import standard_errors
 from dropo.simulators.toy import LinearSimulator, simulate
-from tests.likelihoods.test_trajectory import along_runs, block
+from tests.models.runs_of_block import along_runs, block
 
 TRUTH = np.array([1.5, -0.7])
 NOISE = 0.04

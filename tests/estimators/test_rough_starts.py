@@ -9,14 +9,19 @@ import pytest
 
 from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.problem import Problem
+from dropo.core.records.fit import Status
 from dropo.core.records.trajectories import Trajectories
 from dropo.estimators.dropo import DROPO
+from dropo.estimators.random_effects import RandomEffects
 from dropo.estimators.support.rough_starts import (
     SMOOTHED,
+    SearchSettings,
     of_the_physics_step,
     starts_are_rough,
 )
+from dropo.estimators.support.trust_region import TrustRegionSettings
 from dropo.mjmodel.fields import FieldParameter
+from dropo.problems.simulated.slide import slide
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 SLED = """<mujoco><option timestep="0.002"/><worldbody>
@@ -135,3 +140,11 @@ def test_asked_for_they_are_carried() -> None:
     noise = DROPO(start_noise=True)._make_noise(sled(), 1e-6, "each")
     assert noise.start
     assert not DROPO()._make_noise(sled(), 1e-6, "each").start
+
+
+@pytest.mark.parametrize("method", [DROPO, RandomEffects])
+def test_how_it_searches_is_a_setting(method):
+    """With one outer iteration at most a fit runs out of them; control: by default it converges."""
+    short = SearchSettings(regions=TrustRegionSettings(max_iterations=1))
+    assert method(search=short).fit(slide(), rng=0).status is Status.OUT_OF_BUDGET
+    assert method().fit(slide(), rng=0).status is Status.CONVERGED

@@ -7,23 +7,12 @@ import pytest
 from scipy import stats
 
 from dropo import LeastSquares
-from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit_choices import HorizonChoice, HorizonTrial
 from dropo.core.records.predictions import LEVEL
 from dropo.evaluation.predictions import SETTINGS, predict
-from dropo.problems.simulated.slide import NOISE, slide
-from dropo.simulators.toy import SlidingBlock, simulate
-
-TRUTH = np.array([1.5, 0.8])
-
-
-def problem(trajectories=40, noise=NOISE, **more):
-    """A block of one mass and damping, pushed at random for 30 steps, measured with noise."""
-    rng = np.random.default_rng(3)
-    actions = np.repeat(rng.normal(0.0, 3.0, (trajectories, 6, 1)), 5, axis=1)
-    values = np.repeat(TRUTH[None], trajectories, axis=0)
-    data = simulate(SlidingBlock(), values, actions, np.zeros(2), noise_variance=noise, rng=rng)
-    return Problem("block", SlidingBlock(), data, epsilon=noise, **more)
+from dropo.problems.simulated.slide import slide
+from dropo.simulators.toy import SlidingBlock
+from tests.models.predicted_slide import TRUTH, problem
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,7 @@ import numpy as np
 
 from dropo.evaluation.held_out import DataPart, whole_part
 from dropo.evaluation.whole_run import RunSettings, whole_run
-from tests.evaluation.test_predictions import TRUTH, problem
+from tests.models.predicted_slide import TRUTH, problem
 
 
 def test_it_is_what_the_simulator_says():

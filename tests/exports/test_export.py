@@ -13,7 +13,7 @@ from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import BadFile, Incompatible, UnknownName
 from dropo.core.services.registry import names, register
 from dropo.exports.export import export
-from dropo.exports.subject import Written
+from dropo.exports.support.subject import Written
 from dropo.mjmodel.fields import FieldParameter
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 from tests.exports.conftest import MASS, PARAMETERS, arm_problem, known_fit
@@ -120,7 +120,7 @@ def test_a_target_of_ones_own(arm, tmp_path):
 
     def table(subject):
         """A table of means."""
-        text = "\n".join(f"{name} {subject.mean(name):g}" for name in subject.law.names)
+        text = "\n".join(f"{name} {subject.mean(name):g}" for name in subject.distribution.names)
         return Written({"means.txt": text}, ("Spreads are left out.",))
 
     register("exports", "table", table)

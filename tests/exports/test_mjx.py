@@ -10,7 +10,7 @@ import pytest
 from dropo.core.services.registry import find
 from dropo.exports.export import export
 from dropo.exports.mjx import mjx as target
-from dropo.exports.subject import subject_of_fit
+from dropo.exports.support.subject import subject_of_fit
 from tests.exports.conftest import (
     ERRORS,
     MASS,
@@ -194,6 +194,6 @@ def test_every_family_is_drawn(family, tmp_path):
     )
     assert beyond(draws, mean, sd) < BOUND
     found = np.corrcoef(draws.T)[0, 1]
-    expected = np.corrcoef(subject.law.sample(20_000, np.random.default_rng(5)).T)[0, 1]
+    expected = np.corrcoef(subject.distribution.sample(20_000, np.random.default_rng(5)).T)[0, 1]
     assert abs(found - expected) < BOUND * np.sqrt(2 / 20_000)
     assert (abs(expected) > 0.5) == (family == "full")

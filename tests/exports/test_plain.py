@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from dropo.exports.export import export
-from dropo.exports.plain import recipe_of
-from dropo.exports.subject import subject_of_fit
+from dropo.exports.plain import writer_of
+from dropo.exports.support.subject import subject_of_fit
 from dropo.mjmodel.fields import FieldParameter
 from dropo.problems.file.plain_model import active_effects, changed_numbers
 from tests.exports.conftest import (
@@ -136,7 +136,7 @@ def test_it_runs_without_this_package(written):
     assert moved > 0
 
 
-def test_a_recipe_sets_what_the_simulator_would():
+def test_a_parameter_writer_sets_what_the_simulator_would():
     """Declared numbers with kept and with derived constants, effects with free and with fixed
     sizes, options: all as in the simulator's own model, and nothing adds up from draw to draw.
     """
@@ -150,17 +150,17 @@ def test_a_recipe_sets_what_the_simulator_would():
     means = np.array([1.3, 1.1, -9.7, 1.2, 0.0, 0.3, 0.05, 0.02, -0.1, 0.2])
     spreads = np.full(len(means), 0.05)
     subject = subject_of_fit(known_fit(problem, means, spreads, spreads), problem)
-    recipe = recipe_of(subject)
-    assert recipe.count == 4
+    writer = writer_of(subject)
+    assert writer.count == 4
     simulator = problem.simulator
     model = simulator.model_of(means, active_effects(simulator, means))
     rng = np.random.default_rng(3)
     for _ in range(3):
         values = means + np.abs(0.05 * rng.standard_normal(len(means)))
-        recipe.write(model, values)
+        writer.write(model, values)
         whole = simulator.model_of(values, active_effects(simulator, values))
         assert differences(model, whole) == {}
-    recipe.write(model, means)
+    writer.write(model, means)
     off = differences(model, whole)
     assert {"body_mass", "dof_frictionloss", "opt.gravity", "opt.density"} <= set(off)
 

@@ -13,7 +13,8 @@ from dropo.core.services.registry import find
 from dropo.estimators.dropo import DROPO
 from dropo.families.full_gaussian import FullGaussian
 from dropo.families.truncated_gaussian import TruncatedGaussian
-from dropo.likelihoods.linear import Linear, moments_of
+from dropo.likelihoods.linear import Linear
+from dropo.likelihoods.support.member_moments import moments_of
 from dropo.mjmodel.fields import FieldParameter
 from dropo.problems.hopper.data import simulate as hopper_transitions
 from dropo.problems.hopper.model import BODIES, FRAME_SKIP, hopper_spec

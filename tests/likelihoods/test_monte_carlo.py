@@ -7,8 +7,8 @@ from scipy.stats import multivariate_normal
 from dropo.core.contracts.noise import Noise
 from dropo.core.services.errors import BadArgument
 from dropo.families.truncated_gaussian import SD, TruncatedGaussian
-from dropo.likelihoods import monte_carlo as gaussian
 from dropo.likelihoods.monte_carlo import MonteCarlo
+from dropo.likelihoods.support import sample_moments
 from dropo.simulators.toy import LinearSimulator, simulate
 from dropo.testing import check_likelihood
 from tests.reference.densities import gaussian_one_by_one
@@ -26,7 +26,7 @@ def test_agrees_with_the_slow_twin(p, monkeypatch):
     predictions = 100.0 + rng.normal(size=(40, 30, p)) @ rng.normal(size=(p, p))
     targets = predictions[0] + 0.1
     epsilon = rng.uniform(0.01, 0.1, p)
-    monkeypatch.setattr(gaussian, "BLOCK", 7 * 40 * p)
+    monkeypatch.setattr(sample_moments, "BLOCK", 7 * 40 * p)
     found = MonteCarlo().log_density(predictions, targets, epsilon)
     np.testing.assert_allclose(found, gaussian_one_by_one(predictions, targets, epsilon), rtol=1e-9)
 

@@ -7,55 +7,17 @@ import pytest
 
 from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.noise import Noise
-from dropo.core.contracts.problem import Problem
 from dropo.core.services.errors import Incompatible, SimulationFailed
 from dropo.core.services.evaluation_log import EvaluationLog
 from dropo.estimators.dropo import DROPO
 from dropo.families.truncated_gaussian import TruncatedGaussian
 from dropo.likelihoods.trajectory import Trajectory, TrajectorySettings
-from dropo.simulators.toy import SlidingBlock, simulate
+from dropo.simulators.toy import SlidingBlock
 from dropo.studies.intervals.data_sets import DryBlock
 from dropo.studies.unlogged_states.machines import simulate_log
 from dropo.testing import check_likelihood
 from tests.models import imu_arm
-
-SEED = 77_000
-TRUTH = np.array([1.5, 0.8])
-SD = np.array([2e-3, 1e-2])
-
-
-def block(seed=0, runs=12, steps=60, spread=0.0, simulator=None):
-    """Noisy states of a sliding block that is pushed at random; each run may have parameters of its
-    own.
-    """
-    rng = np.random.default_rng([SEED, seed])
-    forces = np.repeat(rng.normal(0, 3, (runs, steps // 5, 1)), 5, axis=1)
-    values = TRUTH * np.exp(spread * rng.standard_normal((runs, 2)))
-    clean = simulate(simulator or SlidingBlock(), values, forces, np.zeros(2))
-    states = np.concatenate(
-        [
-            clean.observations.reshape(runs, steps, 2),
-            clean.next_observations.reshape(runs, steps, 2)[:, -1:],
-        ],
-        axis=1,
-    )
-    states = states + SD * rng.standard_normal(states.shape)
-    data = replace(
-        clean,
-        observations=states[:, :-1].reshape(-1, 2),
-        next_observations=states[:, 1:].reshape(-1, 2),
-    )
-    return Problem("block", SlidingBlock(), data)
-
-
-def along_runs(problem, likelihood=None, noise=None):
-    """What the likelihood finds from the middle of the box."""
-    likelihood = likelihood or Trajectory()
-    noise = noise or Noise(np.full(len(problem.simulator.signals), 1e-2), "each")
-    space = problem.space
-    run = Run(problem, np.random.default_rng(0))
-    family = TruncatedGaussian(space)
-    return likelihood.fit_runs(problem, run, family, noise, (space.low + space.high) / 2)
+from tests.models.runs_of_block import SD, SEED, TRUTH, along_runs, block
 
 
 def test_it_keeps_to_the_contract():
@@ -273,12 +235,12 @@ def test_a_first_look_that_diverged_is_recorded(tmp_path):
 
 
 @pytest.mark.parametrize(("slow", "told"), [(0.0, ["an iteration takes 1 s"]), (3600.0, [])])
-def test_slow_rounds_are_told_once(slow, told):
+def test_slow_iterations_are_told_once(slow, told):
     """The first that is slow; quick ones say nothing."""
     said = []
     problem = block(runs=2, steps=20)
     run = Run(problem, np.random.default_rng(0), progress=lambda _, text: said.append(text))
     noise = Noise(SD**2)
-    likelihood = Trajectory(settings=TrajectorySettings(slow_round=slow))
+    likelihood = Trajectory(settings=TrajectorySettings(slow_iteration=slow))
     likelihood.fit_runs(problem, run, TruncatedGaussian(problem.space), noise, TRUTH)
     assert [text for text in said if text.startswith("an iteration")] == told

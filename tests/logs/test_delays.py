@@ -7,7 +7,7 @@ import pytest
 
 from dropo.core.services.errors import BadArgument
 from dropo.logs.signals.delays import estimate_clock, estimate_delay
-from tests.logs.test_velocities import arm
+from tests.models.logged_arm import arm
 
 
 @pytest.mark.parametrize("rate", [100, 1000])
@@ -88,4 +88,4 @@ def test_refusals():
     with pytest.raises(BadArgument, match="moving"):
         estimate_delay(time, np.sin(time), np.ones(100))
     with pytest.raises(BadArgument, match="above 0"):
-        estimate_delay(time, np.sin(time), np.sin(time), most=0)
+        estimate_delay(time, np.sin(time), np.sin(time), max_delay=0)

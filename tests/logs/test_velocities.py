@@ -7,15 +7,7 @@ import pytest
 
 from dropo.core.services.errors import BadArgument
 from dropo.logs.signals.velocities import estimate_velocities, quantum
-
-
-def arm(time):
-    """An angle [rad] and its velocity: three tones between 0.3 and 2.3 Hz."""
-    parts = [(1.0, 0.31, 0.0), (0.5, 1.1, 1.0), (0.15, 2.3, 2.0)]
-    angle = sum(a * np.sin(2 * np.pi * f * time + phase) for a, f, phase in parts)
-    return angle, sum(
-        2 * np.pi * f * a * np.cos(2 * np.pi * f * time + phase) for a, f, phase in parts
-    )
+from tests.models.logged_arm import arm
 
 
 def ball(time, height=1.0, bounce=0.93):

@@ -7,7 +7,7 @@ from mujoco import rollout
 
 from dropo.core.services.errors import BadArgument
 from dropo.problems.hopper.data import (
-    LinearPolicy,
+    HopperPolicy,
     healthy,
     simulate,
 )
@@ -162,7 +162,7 @@ def test_a_fall_ends_a_trajectory_and_another_is_started():
     """A policy that does nothing falls; every trajectory but the last ends fallen, and the count is
     met.
     """
-    idle = LinearPolicy(np.zeros((3, 11)), np.zeros(11), np.ones(11), action_noise=0.1)
+    idle = HopperPolicy(np.zeros((3, 11)), np.zeros(11), np.ones(11), action_noise=0.1)
     fallen, masses = simulate(200, 3, rng=4, policy=idle, block=50)
     assert len(fallen) == 600
     assert len(fallen.spans) > 3

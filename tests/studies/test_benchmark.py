@@ -14,7 +14,7 @@ from dropo.core.services.registry import names
 from dropo.problems.loading import load
 from dropo.studies.benchmark import sets, study
 from dropo.studies.benchmark.answers import read_answers
-from dropo.studies.benchmark.score import judge
+from dropo.studies.benchmark.score import evaluate_answer
 from dropo.studies.benchmark.sets import KINDS, VERSION, make_set, set_names, write_sets
 from dropo.studies.engine.work import Work
 
@@ -112,13 +112,13 @@ def test_an_answer_is_judged_by_effect_and_place():
     }
     right = {"effect": "joint_armature", "target": "shoulder", "sizes": {"armature": 0.03}}
     elsewhere = {"effect": "joint_armature", "target": "elbow"}
-    found = judge(truth, [right])
+    found = evaluate_answer(truth, [right])
     assert (found.named, found.others, found.error) == (True, False, pytest.approx(0.5))
-    assert judge(truth, [{"effect": "body_inertia"}]).named
-    assert not judge(truth, [elsewhere]).named
-    assert judge(truth, [right, elsewhere]).others
-    assert judge(truth, [{**elsewhere, "or": [["joint_armature", "shoulder"]]}]).among
-    assert not judge(truth, None).answered
+    assert evaluate_answer(truth, [{"effect": "body_inertia"}]).named
+    assert not evaluate_answer(truth, [elsewhere]).named
+    assert evaluate_answer(truth, [right, elsewhere]).others
+    assert evaluate_answer(truth, [{**elsewhere, "or": [["joint_armature", "shoulder"]]}]).among
+    assert not evaluate_answer(truth, None).answered
 
 
 def change(perfect, path, value):

@@ -11,7 +11,7 @@ from scipy import stats
 from dropo.studies.engine.pages import picture
 from dropo.studies.engine.work import Work
 from dropo.studies.tiboni_2021 import figure_6_3, light_torso
-from dropo.studies.tiboni_2021.figure_6_3 import Size, difference, holm
+from dropo.studies.tiboni_2021.figure_6_3 import Size, difference
 from dropo.studies.tiboni_2021.light_torso import (
     EXTENDED,
     PUBLISHED,
@@ -106,11 +106,6 @@ def test_paired_differences():
     assert (gap.mean - gap.half, gap.mean + gap.half) == pytest.approx((low, high))
     assert difference(one, one).p == 1
     assert np.isnan(difference(one[:, :1], other[:, :1]).p)
-
-
-def test_holm():
-    """Three tests by hand: the least times three, the next times two, never falling."""
-    np.testing.assert_allclose(holm(np.array([0.04, 0.01, 0.03])), [0.06, 0.03, 0.06])
 
 
 @pytest.mark.study

@@ -22,7 +22,15 @@ Progress = Callable[[float, str], None]
 
 
 def silent(fraction: float, text: str) -> None:
-    """Show no progress, whatever the `fraction` done and the `text`."""
+    """Show no progress.
+
+    Parameters
+    ----------
+    fraction : float
+        The part of the work that is done, from 0 to 1.
+    text : str
+        What would be shown.
+    """
 
 
 def with_cost(progress: Progress, simulator: Simulator) -> Progress:
@@ -128,6 +136,11 @@ class Run:
         ----------
         evaluations : int
             Evaluations of the objective that the block makes.
+
+        Yields
+        ------
+        None
+            The block runs between; its steps and failures are added to the run's where it ends.
         """
         simulator = self.problem.simulator
         steps_before = simulator.steps

@@ -170,14 +170,48 @@ class Family(ABC):
 
     @abstractmethod
     def mean(self, phi: Array) -> Array:
-        """Mean (d,) of the member phi (m,), before infeasible draws are repeated."""
+        """Give the mean of a member, before infeasible draws are repeated.
+
+        Parameters
+        ----------
+        phi : (m,) array
+            Numbers that name the member, in the order of `unknowns`.
+
+        Returns
+        -------
+        (d,) array
+            In the parameters' units.
+        """
 
     @abstractmethod
     def sd(self, phi: Array) -> Array:
-        """Standard deviation (d,) of the member phi (m,); under truncation less than the scale."""
+        """Give the standard deviation of a member; under truncation it is less than the scale.
+
+        Parameters
+        ----------
+        phi : (m,) array
+            Numbers that name the member, in the order of `unknowns`.
+
+        Returns
+        -------
+        (d,) array
+            In the parameters' units, before infeasible draws are repeated.
+        """
 
     def scale(self, phi: Array) -> Array:
-        """Scale (d,) of the member phi (m,), such as the sigma of a truncated Gaussian."""
+        """Give the scale of a member, such as the sigma of a truncated Gaussian.
+
+        Parameters
+        ----------
+        phi : (m,) array
+            Numbers that name the member, in the order of `unknowns`.
+
+        Returns
+        -------
+        (d,) array
+            The scale parameters themselves; in the parameters' units unless the family is in
+            logarithms.
+        """
         return phi[self._scale_columns]
 
     @cached_property
@@ -187,7 +221,18 @@ class Family(ABC):
         return [column[f"scale.{name}"] for name in self.space.names]
 
     def correlation(self, phi: Array) -> Array:
-        """Correlation matrix (d, d) of the member phi (m,)."""
+        """Give the correlation matrix of a member; the identity unless overridden.
+
+        Parameters
+        ----------
+        phi : (m,) array
+            Numbers that name the member, in the order of `unknowns`.
+
+        Returns
+        -------
+        (d, d) array
+            Array or tensor as `phi`.
+        """
         return constant(np.eye(len(self.space)), phi)
 
     def phi(self, mean: ArrayLike, scale: ArrayLike | None = None) -> Array:

@@ -130,11 +130,33 @@ class LogLikelihood(ABC):
 
     @abstractmethod
     def epsilon(self, phi: Array) -> Array:
-        """Noise variance (p,) of each signal at phi (m,) [signal unit^2]."""
+        """Give the noise variance of each signal.
+
+        Parameters
+        ----------
+        phi : (m,) array
+            As of `__call__`.
+
+        Returns
+        -------
+        (p,) array
+            In squared signal units; the part of `phi` that says it, where noise is fitted.
+        """
 
     @abstractmethod
     def mean(self, phi: Array) -> Array:
-        """Mean prediction (R, p) at phi (m,), for the mean squared error."""
+        """Predict the compared rows' mean, of which the mean squared error is taken.
+
+        Parameters
+        ----------
+        phi : (m,) array
+            As of `__call__`.
+
+        Returns
+        -------
+        (R, p) array
+            In the signals' units.
+        """
 
 
 class Likelihood(ABC):
@@ -205,7 +227,18 @@ class LocalLogLikelihood(LogLikelihood):
 
     @abstractmethod
     def predict(self, values: Array) -> Array:
-        """Predictions (K, R, p) of the local model at parameter vectors (K, d)."""
+        """Predict all rows by the local model, without a simulation.
+
+        Parameters
+        ----------
+        values : (K, d) array
+            Parameter vectors, in the parameters' units.
+
+        Returns
+        -------
+        (K, R, p) array
+            In the coordinates of the simulator's `predict`.
+        """
 
     def predict_rows(self, values: Array, rows: slice | Ints) -> Array:
         """Predict some of the rows.
@@ -325,7 +358,7 @@ class RunFit:
         Noise variance of each signal of the problem that was given [signal unit^2].
     details : dict
         For fit.json: the noise of each signal, the runs and their pieces.
-    doubts : tuple of str
+    warnings : tuple of str
         What says that the model is wrong, a sentence each.
     reached : bool
         Whether the search came so close to the measurements that errors mean anything.
@@ -336,7 +369,7 @@ class RunFit:
     found: "SearchResult"
     epsilon: Array
     details: dict[str, Any]
-    doubts: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
     reached: bool = True
 
 
@@ -412,7 +445,18 @@ class GroupedLogLikelihood(LocalLogLikelihood):
 
     @abstractmethod
     def groups(self, phi: Array) -> Groups:
-        """Parameters of each group, under the population that phi (m,) names."""
+        """Estimate the parameters of each group, under the population that `phi` names.
+
+        Parameters
+        ----------
+        phi : (m,) array
+            As of `__call__`.
+
+        Returns
+        -------
+        Groups
+            The G groups, each with the mode and the precision of its own draw.
+        """
 
     @abstractmethod
     def mode_errors(self, phi: Array) -> Array:

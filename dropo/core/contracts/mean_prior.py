@@ -56,30 +56,67 @@ class MeanPrior:
         if place not in self.distributions:
             return parameter
         low, high = self.distributions[place].support()
-        low, high = max(parameter.low, float(low)), min(parameter.high, float(high))
-        return replace(parameter, low=low, high=high)
+        return replace(
+            parameter, low=max(parameter.low, float(low)), high=min(parameter.high, float(high))
+        )
 
     def __bool__(self) -> bool:
         """Whether there is a prior at all."""
         return bool(self.distributions)
 
     def value(self, mean: Array) -> float:
-        """Evaluate the log density of means (d,), in the parameters' units [nats]."""
-        return float(sum(law.logpdf(mean[i]) for i, law in self.distributions.items()))
+        """Evaluate the log density of means.
+
+        Parameters
+        ----------
+        mean : (d,) array
+            In the parameters' units.
+
+        Returns
+        -------
+        float
+            In nats; the sum over the parameters that have a prior, -inf outside its ends.
+        """
+        return float(
+            sum(distribution.logpdf(mean[i]) for i, distribution in self.distributions.items())
+        )
 
     def score(self, mean: Array) -> Array:
-        """Differentiate the log density by the means (d,)."""
+        """Differentiate the log density by the means.
+
+        Parameters
+        ----------
+        mean : (d,) array
+            In the parameters' units.
+
+        Returns
+        -------
+        (d,) array
+            In nats per unit of each parameter; 0 where it has no prior.
+        """
         out = np.zeros(len(self.space))
-        for i, law in self.distributions.items():
-            out[i] = slope(law, mean[i : i + 1])[0]
+        for i, distribution in self.distributions.items():
+            out[i] = slope(distribution, mean[i : i + 1])[0]
         return out
 
     def information(self, mean: Array) -> Array:
-        """(d,) the curvature -d^2 log p / d mean^2 at means (d,); 0 where the density is convex."""
+        """Find the curvature -d^2 log p / d mean^2 by central differences.
+
+        Parameters
+        ----------
+        mean : (d,) array
+            In the parameters' units.
+
+        Returns
+        -------
+        (d,) array
+            In nats per squared unit; 0 without a prior, and where the log density is convex or not
+            finite.
+        """
         out = np.zeros(len(self.space))
-        for i, law in self.distributions.items():
-            step = STEP * (law.ppf(0.75) - law.ppf(0.25))
-            below, here, above = law.logpdf(mean[i] + step * np.array([-1.0, 0.0, 1.0]))
+        for i, distribution in self.distributions.items():
+            step = STEP * (distribution.ppf(0.75) - distribution.ppf(0.25))
+            below, here, above = distribution.logpdf(mean[i] + step * np.array([-1.0, 0.0, 1.0]))
             if np.isfinite([below, here, above]).all():
                 out[i] = max((2 * here - below - above) / step**2, 0.0)
         return out
@@ -166,7 +203,20 @@ def local_with_prior(objective: LocalLogLikelihood, prior: MeanPrior | None) -> 
 
 
 def mean_places(objective: LogLikelihood, space: ParameterSpace) -> Ints:
-    """Find the places (d,) of the unknowns "mean.x" of parameters x among an objective's."""
+    """Find the places of the means among the unknowns of an objective.
+
+    Parameters
+    ----------
+    objective : LogLikelihood
+        Its unknowns have a name "mean.x" for each parameter x.
+    space : ParameterSpace
+        The d parameters.
+
+    Returns
+    -------
+    (d,) array of int
+        The place of "mean.x" in `objective.unknowns`, in the order of the space.
+    """
     names = objective.unknowns.names
     return np.array([names.index(f"mean.{name}") for name in space.names])
 
@@ -215,11 +265,14 @@ class WithPrior(LocalLogLikelihood):
         )
 
     def epsilon(self, phi: Array) -> Array:
+        """Give the objective's noise variances: a prior says nothing of noise."""
         return self.objective.epsilon(phi)
 
     def mean(self, phi: Array) -> Array:
+        """Give the objective's mean prediction: a prior changes no prediction."""
         return self.objective.mean(phi)
 
     def predict(self, values: Array) -> Array:
+        """Give the predictions of the objective's local model."""
         assert isinstance(self.objective, LocalLogLikelihood)
         return self.objective.predict(values)

@@ -176,7 +176,18 @@ class LogPrior:
         return out
 
     def gradient(self, points: Array) -> Array:
-        """Derivatives (W, m) by the parameters in their own units, at points (W, m)."""
+        """Differentiate the log density by the parameters in their own units.
+
+        Parameters
+        ----------
+        points : (W, m) array
+            Parameter vectors, in the parameters' own units.
+
+        Returns
+        -------
+        (W, m) array
+            In nats per unit of each parameter; 0 for one without a prior.
+        """
         out = np.zeros(points.shape)
         for i, distribution in self.distributions.items():
             values = points[:, i]

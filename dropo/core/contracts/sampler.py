@@ -141,7 +141,18 @@ class Sampler(ABC):
 
     @abstractmethod
     def evaluations(self, dimension: int) -> int:
-        """About how many points of that `dimension` one run evaluates, for progress."""
+        """Say about how many points one run evaluates, for progress.
+
+        Parameters
+        ----------
+        dimension : int
+            Number m of unknowns.
+
+        Returns
+        -------
+        int
+            Evaluations of the log density, of all chains together.
+        """
 
     @abstractmethod
     def _sample(

@@ -205,7 +205,18 @@ class Simulator(ABC):
         """
 
     def targets(self, segments: Segments) -> Array:
-        """Measured signals (R, p) at every compared row, in the coordinates of `predict`."""
+        """Give the measured signals of every compared row, in the coordinates of `predict`.
+
+        Parameters
+        ----------
+        segments : Segments
+            N segments with R compared rows.
+
+        Returns
+        -------
+        (R, p) array
+            In the signals' units; the segments' own targets unless overridden.
+        """
         return segments.targets
 
     def extra_start_sd(self, value: Array, segments: Segments) -> Array:
@@ -226,7 +237,18 @@ class Simulator(ABC):
         return np.zeros((len(segments), len(self.signals)))
 
     def in_contact(self, segments: Segments) -> NDArray[np.bool_]:
-        """Whether bodies overlap in each segment's measured start (N,); False unless overridden."""
+        """Tell in which measured starts bodies overlap.
+
+        Parameters
+        ----------
+        segments : Segments
+            N segments.
+
+        Returns
+        -------
+        (N,) array of bool
+            False everywhere unless overridden.
+        """
         return np.zeros(len(segments), dtype=bool)
 
     def jacobian(

@@ -18,7 +18,18 @@ _NUMPY = array_api_compat.array_namespace(np.empty(0))
 
 
 def is_tensor(x: Any) -> bool:
-    """Return whether `x` is a torch tensor."""
+    """Return whether this is a torch tensor; torch is not imported for the answer.
+
+    Parameters
+    ----------
+    x : Any
+        An array, a number or a tensor.
+
+    Returns
+    -------
+    bool
+        False wherever torch has not been imported.
+    """
     torch = sys.modules.get("torch")
     return torch is not None and isinstance(x, torch.Tensor)
 
@@ -114,12 +125,34 @@ def together(*arrays: Any) -> list[Any]:
 
 
 def plain(x: Any) -> Array:
-    """Return the values of `x` as a NumPy array, without their history."""
+    """Return the values of an array as a NumPy one, without the history that gradients need.
+
+    Parameters
+    ----------
+    x : array_like
+        An array or a tensor, on any device.
+
+    Returns
+    -------
+    array
+        float64, of the same shape.
+    """
     return np.asarray(x.detach().cpu().numpy() if is_tensor(x) else x, dtype=float)
 
 
 def ndtri(x: Any) -> Any:
-    """Evaluate the standard normal quantile at `x`, array or tensor."""
+    """Evaluate the standard normal quantile.
+
+    Parameters
+    ----------
+    x : array
+        Probabilities, array or tensor.
+
+    Returns
+    -------
+    array
+        Of the same kind and shape; -inf at 0, inf at 1.
+    """
     return sys.modules["torch"].special.ndtri(x) if is_tensor(x) else special.ndtri(x)
 
 

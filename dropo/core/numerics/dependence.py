@@ -8,8 +8,22 @@ from numpy.typing import NDArray
 from dropo.core.numerics.kept_rows import row_blocks
 from dropo.core.services.validation import Array
 
-NEAR_ONE = 0.97
-"""The largest autoregression that prewhitening takes out (Andrews and Monahan 1992)."""
+
+@dataclass(frozen=True)
+class LongRunSettings:
+    """How the covariance of a sum along time is estimated.
+
+    Attributes
+    ----------
+    largest_autoregression : float
+        Prewhitening takes out no larger first-order autoregression than this (Andrews and Monahan
+        1992).
+    """
+
+    largest_autoregression: float = 0.97
+
+
+SETTINGS = LongRunSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +55,18 @@ class Units:
 
 
 def independent(rows: int) -> Units:
-    """Make every one of the `rows` a unit of its own."""
+    """Make every row a unit of its own.
+
+    Parameters
+    ----------
+    rows : int
+        Number R of rows.
+
+    Returns
+    -------
+    Units
+        R units, whose sums are the rows themselves.
+    """
     return Units(np.arange(rows), False, np.arange(rows), "rows")
 
 
@@ -64,7 +89,9 @@ def unit_sums(values: Array, units: Units) -> Array:
     return sums
 
 
-def variance_of_sum(values: Array, units: Units) -> tuple[Array, Array]:
+def variance_of_sum(
+    values: Array, units: Units, settings: LongRunSettings = SETTINGS
+) -> tuple[Array, Array]:
     """Estimate the covariance of the sum over rows of mean 0.
 
     Parameters
@@ -73,6 +100,8 @@ def variance_of_sum(values: Array, units: Units) -> tuple[Array, Array]:
         The rows.
     units : Units
         Which of them depend on each other.
+    settings : LongRunSettings
+        How the covariance is estimated along time.
 
     Returns
     -------
@@ -83,13 +112,15 @@ def variance_of_sum(values: Array, units: Units) -> tuple[Array, Array]:
         Degrees of freedom of its diagonal, G - 1 over units.
     """
     if units.serial:
-        return long_run(values[units.order], units.label[units.order])
+        return long_run(values[units.order], units.label[units.order], settings)
     sums = unit_sums(values, units)
     count = units.count
     return sums.T @ sums * count / max(count - 1, 1), np.full(values.shape[1], max(count - 1, 1.0))
 
 
-def long_run(values: Array, series: NDArray[np.int64]) -> tuple[Array, Array]:
+def long_run(
+    values: Array, series: NDArray[np.int64], settings: LongRunSettings = SETTINGS
+) -> tuple[Array, Array]:
     """Estimate the covariance of the sum of serially dependent rows.
 
     Each column is prewhitened by its own first-order autoregression r, its residuals are smoothed
@@ -102,6 +133,8 @@ def long_run(values: Array, series: NDArray[np.int64]) -> tuple[Array, Array]:
         The rows, in the order of time.
     series : (R,) array of int
         The series of each row; rows of different series are independent.
+    settings : LongRunSettings
+        How much of their dependence is taken out beforehand.
 
     Returns
     -------
@@ -120,14 +153,15 @@ def long_run(values: Array, series: NDArray[np.int64]) -> tuple[Array, Array]:
     follows = np.flatnonzero(series[1:] == series[:-1]) + 1  # rows with a row before them
     if len(follows) < 2:
         return values.T @ values, np.full(m, max(rows - 1.0, 1.0))
-    rho = np.clip(_autoregression(values, follows), -NEAR_ONE, NEAR_ONE)
+    largest = settings.largest_autoregression
+    rho = np.clip(_autoregression(values, follows), -largest, largest)
     # The first row of a series has no row before it: it is scaled to the same variance.
     white = values.copy()
     for own in _blocks_of(follows, m):
         white[own] -= rho * values[own - 1]
     first = np.setdiff1d(np.arange(rows), follows)
     white[first] *= np.sqrt(1 - rho**2)
-    width = _bandwidth(white, follows, rows)
+    width = _bandwidth(white, follows, rows, largest)
     smooth = white.T @ white
     for lag in range(1, min(int(np.ceil(6 * width)), rows - 1) + 1):
         later = np.flatnonzero(series[lag:] == series[:-lag]) + lag
@@ -164,13 +198,13 @@ def _blocks_of(rows: NDArray[np.int64], m: int) -> list[NDArray[np.int64]]:
     return [rows[block] for block in row_blocks(len(rows), 32 * m)]
 
 
-def _bandwidth(white: Array, follows: NDArray[np.int64], rows: int) -> float:
-    """Andrews' plug-in bandwidth 1.3221 (alpha R)^(1/5), with alpha from autoregressions."""
+def _bandwidth(white: Array, follows: NDArray[np.int64], rows: int, largest: float) -> float:
+    """Andrews' plug-in bandwidth 1.3221 (alpha R)^(1/5), alpha from limited autoregressions."""
     products, size = _lag_one(white, follows)
     good = size > 0
     if not good.any():
         return 1.0
-    rho = np.clip(products[good] / size[good], -NEAR_ONE, NEAR_ONE)
+    rho = np.clip(products[good] / size[good], -largest, largest)
     return max(1.0, 1.3221 * float(np.mean(4 * rho**2 / (1 - rho) ** 4) * rows) ** 0.2)
 
 

@@ -30,7 +30,7 @@ class ReweightingSettings:
     degrees : float
         Degrees of freedom of the Student t whose weights the rows have.
     prior_information : float
-        Of a normal prior around each value, in units of the widths.
+        Information of a normal prior around each value, in units of the widths.
     maximum_step : float
         Longest step, as a fraction of the widths.
     """
@@ -146,13 +146,56 @@ class SteppedObjective(Protocol[S]):
     """What `maximize` asks of a problem whose states are of any type."""
 
     def differentiate(self, state: S, close: bool) -> Array:
-        """Jacobian of the predictions at a state, of any shape; close: by narrow differences."""
+        """Differentiate the predictions at a state.
+
+        Parameters
+        ----------
+        state : S
+            Where to differentiate.
+        close : bool
+            Whether by narrow differences, for predictions that bend within the usual width.
+
+        Returns
+        -------
+        array
+            The Jacobian, of whatever shape `step` takes.
+        """
 
     def step(self, state: S, jacobian: Array) -> tuple[Array, float]:
-        """The step (f,) by a Jacobian, and the gain that it promises (see `damped_step`)."""
+        """Find the step by a Jacobian; see `damped_step`.
+
+        Parameters
+        ----------
+        state : S
+            Where the step begins.
+        jacobian : array
+            As `differentiate` gave it, there or at an earlier state.
+
+        Returns
+        -------
+        step : (f,) array
+            In the free numbers of the state.
+        gain : float
+            What the linear model promises of it, in nats.
+        """
 
     def try_steps(self, state: S, steps: Array) -> tuple[S, float]:
-        """The best state after steps (K, f) and its gain; the same state and 0 if none gains."""
+        """Take the best of several steps.
+
+        Parameters
+        ----------
+        state : S
+            Where the steps begin.
+        steps : (K, f) array
+            In the free numbers of the state.
+
+        Returns
+        -------
+        state : S
+            The best state; the same one if no step gains.
+        gain : float
+            Its gain in nats; 0 if no step gains.
+        """
 
 
 def maximize(

@@ -497,6 +497,16 @@ class Fit(Report):
     def load(cls, folder: str | Path) -> "Fit":
         """Read the fit that `save` wrote into a folder.
 
+        Parameters
+        ----------
+        folder : str or Path
+            The folder, with fit.json and fit.npz.
+
+        Returns
+        -------
+        Fit
+            With the same numbers as the one that was saved.
+
         Raises
         ------
         BadFile

@@ -53,6 +53,7 @@ class NoiseTuning(FitPart):
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any], arrays: Mapping[str, Any]) -> Self:
+        """Make the record from the entries that `to_json` gave."""
         trials = tuple(NoiseTrial(**row) for row in content["tuning"])
         return cls(trials, content["mse_threshold"])
 
@@ -112,6 +113,7 @@ class HorizonChoice(FitPart):
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any], arrays: Mapping[str, Any]) -> Self:
+        """Make the record from the entries that `to_json` gave."""
         trials = tuple(
             HorizonTrial(
                 horizon=row["lambda"],
@@ -175,7 +177,18 @@ class ExcludedSpan:
 
     @classmethod
     def from_json(cls, saved: Mapping[str, Any]) -> Self:
-        """The span from what `to_json` gave; `times` may be missing."""
+        """Make the span from what `to_json` gave.
+
+        Parameters
+        ----------
+        saved : mapping of str to Any
+            The span's entries of fit.json; `times` may be missing.
+
+        Returns
+        -------
+        ExcludedSpan
+            Its `times` is NaN where it is missing.
+        """
         return cls(
             run=saved["run"],
             held_out=saved["held_out"],
@@ -201,4 +214,5 @@ class ExcludedSpans(FitPart):
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any], arrays: Mapping[str, Any]) -> Self:
+        """Make the record from the entries that `to_json` gave."""
         return cls(tuple(ExcludedSpan.from_json(span) for span in content["disturbances"]))

@@ -36,26 +36,83 @@ class FitPart(ABC):
     @classmethod
     @abstractmethod
     def from_json(cls, content: Mapping[str, Any], arrays: Mapping[str, Any]) -> Self:
-        """The part from the content of fit.json and of fit.npz, of which it takes its own."""
+        """Make the part from the contents of a saved fit, of which it takes its own.
+
+        Parameters
+        ----------
+        content : mapping of str to Any
+            The entries of fit.json, by key.
+        arrays : mapping of str to array
+            The arrays of fit.npz, by name.
+
+        Returns
+        -------
+        FitPart
+            Equal to the one that was saved.
+        """
 
 
 def number_or_null(value: float) -> float | None:
-    """A number as JSON has it: null where it is not finite."""
+    """Turn a number into what JSON can hold.
+
+    Parameters
+    ----------
+    value : float
+        Any number.
+
+    Returns
+    -------
+    float or None
+        None, which JSON has as null, where the number is not finite.
+    """
     return float(value) if np.isfinite(value) else None
 
 
 def number_or_nan(saved: float | None) -> float:
-    """A number that JSON may have as null."""
+    """Turn what JSON holds into a number.
+
+    Parameters
+    ----------
+    saved : float or None
+        As `number_or_null` gave it.
+
+    Returns
+    -------
+    float
+        NaN for null.
+    """
     return np.nan if saved is None else float(saved)
 
 
 def numbers_or_null(values: Mapping[str, float]) -> dict[str, float | None]:
-    """Numbers by name as JSON has them."""
+    """Turn named numbers into what JSON can hold.
+
+    Parameters
+    ----------
+    values : mapping of str to float
+        Numbers by name.
+
+    Returns
+    -------
+    dict of str to float or None
+        None where a number is not finite.
+    """
     return {name: number_or_null(value) for name, value in values.items()}
 
 
 def numbers_or_nan(saved: Mapping[str, float | None]) -> dict[str, float]:
-    """Numbers by name that JSON may have as null."""
+    """Turn what JSON holds into named numbers.
+
+    Parameters
+    ----------
+    saved : mapping of str to float or None
+        As `numbers_or_null` gave it.
+
+    Returns
+    -------
+    dict of str to float
+        NaN for null.
+    """
     return {name: number_or_nan(value) for name, value in saved.items()}
 
 
@@ -299,7 +356,18 @@ class VarianceComponentTests:
 
     @classmethod
     def from_json(cls, saved: Mapping[str, Any]) -> Self:
-        """The tests from what `to_json` gave."""
+        """Make the tests from what `to_json` gave.
+
+        Parameters
+        ----------
+        saved : mapping of str to Any
+            The entry of fit.json: the test of all together, and under "parameters" each one's.
+
+        Returns
+        -------
+        VarianceComponentTests
+            Equal to those that were saved.
+        """
         parameters = {name: VarianceTest(**test) for name, test in saved["parameters"].items()}
         return cls(VarianceTest(saved["statistic"], saved["p_value"]), parameters)
 

@@ -1,28 +1,46 @@
 """Which compared rows of segments depend on each other."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from dropo.core.numerics.dependence import Units
 from dropo.core.records.trajectories import Ints, Segments
 
-MANY = 20
-"""Trajectories or groups that are enough for standard errors clustered by them."""
+
+@dataclass(frozen=True)
+class UnitSettings:
+    """When parts of the data are units whose sums can be compared with each other.
+
+    Attributes
+    ----------
+    many : int
+        So many trajectories or groups are enough for standard errors clustered by them.
+    """
+
+    many: int = 20
 
 
-def units_of(segments: Segments) -> Units:
+SETTINGS = UnitSettings()
+
+
+def units_of(segments: Segments, settings: UnitSettings = SETTINGS) -> Units:
     """Find the units of the compared rows that are independent of each other.
 
-    They are the first of these that are `MANY`: parts of the data that share neither a trajectory
-    nor a group, trajectories, groups. If none is, they are the trajectories as series in time.
+    They are the first of these of which there are many: parts of the data that share neither a
+    trajectory nor a group, trajectories, groups. Else they are the trajectories as series in time.
 
     Parameters
     ----------
     segments : Segments
         With R compared rows.
+    settings : UnitSettings
+        How many are many.
 
     Returns
     -------
     Units
+        With a label for each of the R rows.
     """
     segment, step = segments.rows
     trajectory = segments.trajectory[segment]
@@ -34,7 +52,7 @@ def units_of(segments: Segments) -> Units:
     time = segments.steps[segment, step]
     for kind, label in choices:
         number = np.unique(label, return_inverse=True)[1]
-        if int(number.max()) + 1 >= MANY:
+        if int(number.max()) + 1 >= settings.many:
             return Units(number, False, np.lexsort((time, number)), kind)
     number = np.unique(trajectory, return_inverse=True)[1]
     return Units(number, True, np.lexsort((time, number)), "time")

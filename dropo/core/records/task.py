@@ -69,7 +69,20 @@ class Task:
             check_shape("limits", np.asarray(self.limits), (2, None), "Task")
 
     def draw_goals(self, rng: Generator, n: int) -> Array:
-        """Draw the goals (n, g) of `n` episodes with `rng`; g is 0 if the task has none."""
+        """Draw the goals of episodes.
+
+        Parameters
+        ----------
+        rng : numpy.random.Generator
+            Draws them.
+        n : int
+            Number of episodes.
+
+        Returns
+        -------
+        (n, g) array
+            A row for each episode; g is 0 if the task has no goals.
+        """
         if self.goals is None:
             return np.zeros((n, 0))
         return np.asarray(self.goals(rng, n), dtype=float)
@@ -124,14 +137,41 @@ class Task:
         return alive
 
     def observations(self, rows: Array, goals: Array) -> Array:
-        """Make the policy's observations (m, o) from `rows` (m, P) and `goals` (m, g)."""
+        """Make the policy's observations.
+
+        Parameters
+        ----------
+        rows : (m, P) array
+            Observation rows of m simulations.
+        goals : (m, g) array
+            The goal of each episode.
+
+        Returns
+        -------
+        (m, o) array
+            What `observe` makes of both; the rows with the goals beside them where the task has
+            none.
+        """
         if self.observe is None:
             return np.concatenate([rows, goals], axis=1)
         given = (rows,) if self.goals is None else (rows, goals)
         return np.asarray(self.observe(*given), dtype=float)
 
     def commands(self, states: Array, actions: Array) -> Array:
-        """Make the commands (m, H, c) of H control steps from `states` and `actions` (m, q)."""
+        """Make the commands of the H control steps for which an action is held.
+
+        Parameters
+        ----------
+        states : (m, nq + nv) array
+            States in which the actions are given.
+        actions : (m, q) array
+            Actions of the policy.
+
+        Returns
+        -------
+        (m, H, c) array
+            What `controls` makes of both; the actions themselves, H = 1, where the task has none.
+        """
         if self.controls is None:
             return actions[:, None]
         return np.asarray(self.controls(states, actions), dtype=float)

@@ -66,6 +66,11 @@ class FileContent(Generic[Content]):
         what
             What they name, such as "the name of a joint".
 
+        Returns
+        -------
+        str
+            The name itself.
+
         Raises
         ------
         BadFile

@@ -62,7 +62,18 @@ class Expected:
             refuse(self.describe(value))
 
     def describe(self, value: object) -> str:
-        """The end of "expected ...", for a value that is refused."""
+        """Say what had to stand there: the end of "expected ...".
+
+        Parameters
+        ----------
+        value : object
+            The value that is refused.
+
+        Returns
+        -------
+        str
+            The text of this description; subclasses may suggest what is near the value.
+        """
         return self.text
 
 

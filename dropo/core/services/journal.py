@@ -202,13 +202,37 @@ def read_lines(path: Path, what: str) -> list[Any]:
 
 
 def format_line(number: int, content: Any) -> str:
-    """Write a line: its number, its checksum, and its content as JSON."""
+    """Write a line: its number, its checksum, and its content as JSON.
+
+    Parameters
+    ----------
+    number : int
+        The line's place in the file, 0 for the header.
+    content : Any
+        What JSON can hold.
+
+    Returns
+    -------
+    str
+        The line with its end.
+    """
     text = json.dumps(content)
     return f'{{"n": {number}, "crc32": "{_checksum(number, text)}", {ENTRY}{text}}}\n'
 
 
 def parse_line(line: bytes) -> tuple[int, Any] | None:
-    """Read a line's number and content; None where it was cut off or damaged."""
+    """Read a line that `format_line` wrote.
+
+    Parameters
+    ----------
+    line : bytes
+        A line, without its end.
+
+    Returns
+    -------
+    tuple of (int, Any) or None
+        Its number and its content; None where it was cut off or damaged.
+    """
     head, separator, text = line.decode(errors="replace").partition(ENTRY)
     try:
         known = json.loads(f"{head}{separator}0}}")

@@ -172,6 +172,7 @@ BUILT_IN: dict[str, dict[str, str]] = {
         "hidden-effects": "dropo.studies.hidden_effects.study:hidden_effects",
         "laws": "dropo.studies.laws.study:laws",
         "measured": "dropo.studies.measured.study:measured",
+        "servos": "dropo.studies.measured.servos:servos",
         "hopper-v5": "dropo.studies.hidden_effects.hopper_v5:hopper_v5_study",
         "sliding": "dropo.studies.tiboni_2021.sliding:sliding_study",
         "pushing": "dropo.studies.tiboni_2021.pushing:pushing_study",
@@ -288,7 +289,18 @@ def find(kind: str, name: str) -> Any:
 
 
 def service(name: str) -> Any:
-    """Import the function of a higher room that has this `name` in `SERVICES`."""
+    """Import a function of a higher room that lower ones call by name.
+
+    Parameters
+    ----------
+    name : str
+        A name in `SERVICES`.
+
+    Returns
+    -------
+    Any
+        The function.
+    """
     return _imported(SERVICES[name])
 
 

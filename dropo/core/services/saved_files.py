@@ -178,7 +178,25 @@ def read_npy(path: Path) -> NDArray[Any]:
 
 
 def names_in_npz(path: Path, what: str) -> list[str]:
-    """List the arrays of an .npz file, as `read_npz` reads it."""
+    """List the arrays of an .npz file, as `read_npz` reads it.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    what : str
+        What it should be, for messages.
+
+    Returns
+    -------
+    list of str
+        Their names, in the order of the file.
+
+    Raises
+    ------
+    BadFile
+        If it is empty or no archive of arrays.
+    """
     with _archive(path, what) as archive:
         return [name.removesuffix(".npy") for name in archive.namelist()]
 

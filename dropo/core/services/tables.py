@@ -166,7 +166,20 @@ def text_table(header: list[str], rows: list[list[str]]) -> str:
 
 
 def number(value: float, digits: int = 5) -> str:
-    """Print a `value` with so many significant `digits`; a dash where it is not finite."""
+    """Print a number; a dash where it is not finite.
+
+    Parameters
+    ----------
+    value : float
+        The number.
+    digits : int
+        Significant digits.
+
+    Returns
+    -------
+    str
+        Without zeros at its end.
+    """
     return f"{value:.{digits}g}" if np.isfinite(value) else "-"
 
 

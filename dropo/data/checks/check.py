@@ -51,9 +51,10 @@ class CheckSettings:
     ----------
     short : int
         A trajectory of fewer transitions says little.
-    rounded_norm, wrong_norm : float
-        How far a quaternion's norm may be from 1: within the rounding of a log file, and as an
-        error.
+    rounded_norm : float
+        How far a quaternion's norm may be from 1 by the rounding of a log file.
+    wrong_norm : float
+        How far a quaternion's norm must be from 1 for an error.
     rate : float
         How far the rows' median distance may be from the control step, as a fraction of it.
     jitter : float
@@ -61,11 +62,11 @@ class CheckSettings:
     gap : float
         A distance of rows above this many medians is a gap.
     sensor_rows : int
-        Rows that sensors are compared in at most.
+        Largest number of rows in which sensors are compared.
     columns : ColumnSettings
-        Of single columns.
+        What makes single columns look odd.
     motion : MotionSettings
-        Of velocities and free fall.
+        What makes velocities and free fall look odd.
     """
 
     short: int = 5

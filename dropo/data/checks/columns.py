@@ -19,14 +19,18 @@ class ColumnSettings:
     Attributes
     ----------
     stuck_rows : int
-        Rows of one value, between as many rows that move much faster, for a sensor that hangs.
-    release, release_rows : float, int
-        A joint that breaks loose from dry friction jumps by less than so many times the largest of
-        the next so many steps: it did not hang.
+        Number of rows of one value, between as many rows that move much faster, from which a sensor
+        hangs.
+    release : float
+        A joint that breaks loose from dry friction jumps by less than this many times the largest
+        of the next steps: it did not hang.
+    release_rows : int
+        Number of those next steps.
     clipped_rows : int
-        Rows at one end of a signal's range for a sensor at the end of its range.
+        Number of rows at one end of a signal's range from which a sensor is at the end of its
+        range.
     plateau_rows : int
-        How many of them must follow each other.
+        How many of these rows must follow each other.
     approach_rows : int
         Rows before such a plateau from which the speed is taken at which a signal runs into it.
     coarse_step : float
@@ -35,11 +39,15 @@ class ColumnSettings:
         Fraction of the rows in which a command may stand at its limit.
     soft_stop : float
         How far a joint's stop may give way, as a fraction of the joint's range.
-    far_code, far : float
+    far_code : float
         How far outside the other numbers, in multiples of their range and size, a code of loggers
-        and any number must be for a mark of what was not measured.
+        must be for a mark of what was not measured.
+    far : float
+        How far outside the other numbers any number must be for such a mark.
     jumps : int
         How often what moves must jump to a number that is no code.
+    largest : float
+        Largest size of a number: beyond it MuJoCo takes a state for diverged (mjMAXVAL).
     """
 
     stuck_rows: int = 10
@@ -54,11 +62,10 @@ class ColumnSettings:
     far_code: float = 3.0
     far: float = 10.0
     jumps: int = 3
+    largest: float = 1e10
 
 
 DEFAULTS = ColumnSettings()
-LARGEST = 1e10
-"""Beyond it MuJoCo takes a state for one that has diverged (mjMAXVAL)."""
 NINES = (999.0, 9999.0, 99999.0, 999999.0, 999.9, 9999.9, 999.99, 999.25)
 INTEGERS = tuple(float(2**bits - less) for bits in (15, 16, 31, 32) for less in (0, 1))
 CODES = (*NINES, *INTEGERS)
@@ -109,11 +116,33 @@ class Column:
     run: str | None = None
 
     def format_value(self, value: float) -> str:
-        """Write a number of the column with its unit."""
+        """Write a number of the column with its unit.
+
+        Parameters
+        ----------
+        value : float
+            The number.
+
+        Returns
+        -------
+        str
+            With six digits.
+        """
         return f"{value:.6g} {self.unit}".strip()
 
     def format_place(self, i: int) -> str:
-        """Say where the i-th number stands."""
+        """Say where one of the numbers stands.
+
+        Parameters
+        ----------
+        i : int
+            Index of the number in the column.
+
+        Returns
+        -------
+        str
+            Its row and time [s].
+        """
         return f"row {self.rows[i]} at {self.time[i]:.6g} s"
 
     def make_finding(self, level: Level, i: int, sentence: str, advice: str) -> Finding:
@@ -180,7 +209,18 @@ def check_motion(column: Column, settings: ColumnSettings = DEFAULTS) -> Iterato
 
 
 def is_still(column: Column) -> bool:
-    """Whether all of several numbers are the same."""
+    """Tell whether all of several numbers are the same.
+
+    Parameters
+    ----------
+    column : Column
+        The numbers.
+
+    Returns
+    -------
+    bool
+        False for a single number.
+    """
     return len(column.values) > 1 and bool((column.values == column.values[0]).all())
 
 
@@ -229,17 +269,17 @@ def check_marks(column: Column, settings: ColumnSettings = DEFAULTS) -> Iterator
     Finding
     """
     values = column.values
-    beyond = np.flatnonzero(np.abs(values) > LARGEST)
+    beyond = np.flatnonzero(np.abs(values) > settings.largest)
     if len(beyond):
         value = column.format_value(values[beyond[0]])
         text = (
-            f"a number beyond {LARGEST:g} is no measurement; of {len(beyond)} the first is {value} "
-            f"in {column.format_place(int(beyond[0]))}."
+            f"a number beyond {settings.largest:g} is no measurement; of {len(beyond)} the first "
+            f"is {value} in {column.format_place(int(beyond[0]))}."
         )
         yield column.make_finding("error", int(beyond[0]), text, TAKE_OUT)
     for mark in _find_marks(column, settings):
         rows = np.flatnonzero(values == mark)
-        others = values[(values != mark) & (np.abs(values) <= LARGEST)]
+        others = values[(values != mark) & (np.abs(values) <= settings.largest)]
         low, high = (column.format_value(value) for value in (others.min(), others.max()))
         text = (
             f"{column.format_value(mark)} is far outside the other numbers, {low} to {high}: a "
@@ -251,7 +291,7 @@ def check_marks(column: Column, settings: ColumnSettings = DEFAULTS) -> Iterator
 
 def _find_marks(column: Column, settings: ColumnSettings) -> list[float]:
     """The least and the largest number, where they are marks."""
-    values = column.values[np.abs(column.values) <= LARGEST]
+    values = column.values[np.abs(column.values) <= settings.largest]
     if not len(values):
         return []
     ends = {float(values.min()), float(values.max())}

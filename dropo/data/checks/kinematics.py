@@ -38,12 +38,14 @@ class MotionSettings:
         Correlation below which a velocity is that of something else.
     minimum_windows : int
         Windows without which nothing is said of a correlation that is missing.
-    wrong_factor, odd_factor : float
-        A velocity that is too large or too small by such a factor is an error, or a warning.
+    wrong_factor : float
+        A velocity that is too large or too small by this factor is an error.
+    odd_factor : float
+        A velocity that is too large or too small by this factor is a warning.
     window : float
-        Seconds over which displacements are summed.
+        Length of the windows over which displacements are summed [s].
     fall_window : float
-        Seconds over which an acceleration is taken.
+        Length of the windows over which an acceleration is taken [s].
     fall_tolerance : float
         How far an acceleration may be from the expected one, as a fraction of it.
     fall_fraction : float

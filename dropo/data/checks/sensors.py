@@ -32,21 +32,22 @@ class SensorSettings:
     unit_tolerance : float
         How far a ratio of sizes may be from a unit's, as a fraction of it.
     wrong : float
-        Share of the model's mean square that is left over, from which a sensor shows something
-        else ...
+        Fraction of the model's mean square that is left over, from which a sensor shows something
+        else.
     right : float
-        ... and below which, once turned, it shows this.
+        Fraction left over below which a sensor that is turned shows what the model's does.
     tie : float
         Turns are as good as the best where they leave over this much more of the mean square.
     tilt : float
         A mount that is turned by less [rad] is not spoken of.
     world : float
-        The same of the world that orientations are measured from.
+        The world that orientations are measured from is not spoken of where it is turned by less
+        [rad].
     determined : float
-        Share of the mean square that must stand across the main direction, so that a turn about it
-        is known.
+        Fraction of the mean square that must stand across the main direction, so that a turn about
+        it is known.
     rows : int
-        Rows that are needed.
+        Number of rows that are needed.
     """
 
     least: tuple[tuple[str, float], ...] = (

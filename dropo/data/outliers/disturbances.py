@@ -26,24 +26,24 @@ class DisturbanceSettings:
         Horizons of the windows [s]: a short one for a short strong push, a long one for a long weak
         one.
     worst : float
-        Robust standard deviations of a span's worst window ...
+        Number of robust standard deviations that a span's worst window must be off.
     edge : float
-        ... and of all of its windows.
+        Number of robust standard deviations that all of a span's windows must be off.
     neighbours : int
-        Windows of a span, at least: a spike of a sensor spoils the one that begins there and the
-        one that ends there.
+        Smallest number of windows of a span: a spike of a sensor spoils the one that begins there
+        and the one that ends there.
     bins : int
-        Bins of windows by how far they move, within which errors are compared, at most.
+        Largest number of bins of windows, by how far they move, within which errors are compared.
     fewest : int
-        Windows in a bin, at least.
+        Smallest number of windows in a bin.
     near : float
         Longest pause within one disturbance [s].
     start_error : float
-        Standard deviations of noise that the start of a window may be off by.
+        Number of standard deviations of noise that the start of a window may be off by.
     around_contact : int
-        Rows around a contact that are not evaluated.
+        Number of rows around a contact that are not evaluated.
     windows : int
-        Windows that the robust fit uses, at most.
+        Largest number of windows that the robust fit uses.
     at_rest : float
         A window that goes less far is at rest, as a fraction of the signals' spread.
     rounding : float
@@ -52,13 +52,14 @@ class DisturbanceSettings:
         Fraction of a run's moving windows, those with the smallest errors, that say what is usual
         in it.
     calm_normal : float
-        The same quantile of a Gaussian's |z|.
+        The quantile `calm` of a Gaussian's |z|.
     too_much : float
         Fraction of the data beyond which the model, not the data, is wrong.
     many_runs : int
-        From this number of trajectories on, disturbances must be rare ...
+        Number of trajectories from which on disturbances must be rare.
     too_often : float
-        ... in no more than this fraction of them: what comes back in so many is the model's own.
+        Largest fraction of so many trajectories that may have disturbances: what comes back in more
+        is the model's own.
     """
 
     seconds: tuple[float, ...] = (0.05, 0.1, 0.2, 0.4)

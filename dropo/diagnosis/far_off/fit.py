@@ -10,10 +10,11 @@ from scipy.optimize import lsq_linear
 
 from dropo.core.numerics.dependence import Units
 from dropo.core.numerics.robust_covariance import sandwich
+from dropo.core.numerics.robust_statistics import deviation
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.evaluation_log import EvaluationLog
 from dropo.core.services.validation import Array
-from dropo.diagnosis.far_off.motions import Motions, outer_spread
+from dropo.diagnosis.far_off.motions import Motions
 from dropo.diagnosis.search.linearization import DIVERGED, Library
 from dropo.diagnosis.search.record import recorded
 from dropo.mjmodel.robot_simulator import RobotSimulator
@@ -21,36 +22,38 @@ from dropo.mjmodel.robot_simulator import RobotSimulator
 
 @dataclass(frozen=True)
 class OutputErrorSettings:
-    """How numbers are fitted.
+    """How numbers are fitted to whole motions.
 
     Attributes
     ----------
     knee : float
-        Standard deviations from which errors count linearly, not squared (Huber's, smoothed).
+        Number of standard deviations from which errors count linearly instead of squared (Huber's
+        loss, smoothed).
     jacobians : int
-        Jacobians at most.
+        Largest number of Jacobians that a fit takes.
     tolerance : float
-        A fit has ended where steps gain less than this fraction of the cost ...
+        A fit ends where the steps by a Jacobian gain less than this fraction of the cost.
     enough : float
-        ... or less than this [nats].
+        A fit also ends where the steps by a Jacobian gain less than this [nats].
     chords : int
-        Steps by one Jacobian, at most.
+        Largest number of steps that are taken by one Jacobian.
     sufficient : float
-        Part of the promised gain from which a Jacobian still describes the motions.
+        Fraction of the promised gain below which a Jacobian no longer describes the motions.
     damping : tuple of float
-        Levenberg's, for columns of length 1; each is tried.
+        Levenberg's damping factors, for columns of length 1; each of them is tried in every step.
     of_value : float
-        Width of differences, as a fraction of a number, if that is less than the usual width ...
+        Width of one-sided differences, as a fraction of the number, if that is less than the usual
+        width.
     of_value_central : float
-        ... and of differences both ways, which are narrow.
+        Width of differences both ways, which are narrow, as a fraction of the number.
     settling : int
-        Jacobians at most, of those narrow ones, by which a fit settles.
+        Largest number of Jacobians by narrow differences with which a fit settles.
     least_width : float
-        But no less than this fraction of the usual width.
+        Smallest width of any difference, as a fraction of the usual width.
     piece : float
-        Pieces of motions of this length have errors that do not depend on each other [s] ...
+        Length of the pieces of motions whose errors are taken as independent [s].
     pieces : int
-        ... but no more than so many pieces a window.
+        Largest number of such pieces in a window.
 
     References
     ----------
@@ -129,7 +132,18 @@ class Known:
     information: Array
 
     def cost(self, thetas: Array) -> Array:
-        """How far numbers (..., m) are from it (...) [nats]."""
+        """Compute the cost of numbers that differ from what is known of them.
+
+        Parameters
+        ----------
+        thetas : (..., m) array
+            Vectors of all numbers.
+
+        Returns
+        -------
+        (...) array
+            Half the squared difference, in units of its variance [nats].
+        """
         return np.asarray(0.5 * ((thetas - self.values) ** 2 @ self.information))
 
 
@@ -163,37 +177,95 @@ class OutputError:
         self._by_step: dict[Fitted, Array] = {}
 
     def residuals(self, thetas: Array) -> Array:
-        """Simulate under several vectors of numbers (K, m): (K, W, n), NaN where it diverges."""
+        """Simulate all windows under several vectors of numbers.
+
+        Parameters
+        ----------
+        thetas : (K, m) array
+            Vectors of all numbers.
+
+        Returns
+        -------
+        (K, W, n) array
+            Measured less predicted, for the n = L p' compared values of each window; NaN where a
+            simulation diverges.
+        """
         return self.motions.residuals(self.library.predict(thetas, self.motions.windows))
 
     def scale_of(self, residuals: Array) -> Array:
-        """The spread (p',) of residuals (W, n) that are finite, by the larger ones.
+        """Estimate the robust spread of the residuals of signals that move.
 
-        By the median, a joint that mostly rests would have tiny errors, and its few motions would
-        count for more than those of all other joints.
+        A joint that mostly rests has tiny errors there, and its few motions would else count for
+        more than those of all other joints.
+
+        Parameters
+        ----------
+        residuals : (W, n) array
+            Measured less predicted; steps that are not finite are left out.
+
+        Returns
+        -------
+        (p',) array
+            Standard deviation of each compared signal's errors, in its unit; no less than the
+            sensors' noise.
         """
-        floor = np.maximum(self.motions.floor, self.motions.noise)
-        rows = residuals.reshape(-1, len(floor))
-        rows = rows[np.isfinite(rows).all(axis=1)]
-        if not len(rows):
-            return floor
-        return np.maximum(outer_spread(rows), floor)
+        scale = np.maximum(self.motions.floor, self.motions.noise)
+        rows = residuals.reshape(-1, len(scale))
+        counted = np.where(self.motions.moving, rows, np.nan)
+        known = np.isfinite(counted).any(axis=0)
+        scale[known] = np.maximum(deviation(counted[:, known]), scale[known])
+        return scale
 
     def whitened(self, residuals: Array, scale: Array) -> Array:
-        """Residuals (..., W, n) in units of their errors (..., W, N), the starts' noise taken out.
+        """Express residuals in units of their errors, the noise of the starts taken out.
 
         Where a simulation diverges, residuals are those of `DIVERGED`.
+
+        Parameters
+        ----------
+        residuals : (..., W, n) array
+            Measured less predicted.
+        scale : (p',) array
+            Standard deviation of each compared signal's errors.
+
+        Returns
+        -------
+        (..., W, N) array
+            Dimensionless; N is n and one row more for each number of the start that is not exactly
+            known.
         """
         lost = DIVERGED * np.tile(scale, self.motions.windows.length)
         known = np.where(np.isfinite(residuals), residuals, lost)
         return self.motions.whitener(scale)(known)
 
     def cost(self, whitened: Array) -> Array:
-        """The robust cost of each window (..., W) [nats]."""
+        """Compute the robust cost of each window.
+
+        Parameters
+        ----------
+        whitened : (..., W, N) array
+            Residuals in units of their errors.
+
+        Returns
+        -------
+        (..., W) array
+            The cost [nats].
+        """
         return np.asarray(self._costs(whitened).sum(axis=-1))
 
     def cost_by_piece(self, whitened: Array) -> Array:
-        """The robust cost of each piece (W, P) of each window [nats]."""
+        """Compute the robust cost of each piece of each window.
+
+        Parameters
+        ----------
+        whitened : (W, N) array
+            Residuals in units of their errors.
+
+        Returns
+        -------
+        (W, P) array
+            The cost of P pieces, whose errors are taken as independent [nats].
+        """
         return np.asarray(self._costs(whitened) @ self._of_piece(whitened.shape[-1]))
 
     def _costs(self, whitened: Array) -> Array:
@@ -215,8 +287,21 @@ class OutputError:
     def linearize(self, theta: Array, free: Ints, *, central: bool = False) -> Fitted:
         """Differentiate the motions by some numbers, at widths that suit these.
 
-        central: by differences both ways, for errors: what is only rounding of one-sided ones
-        would be taken for knowledge of a direction that motions do not tell.
+        Parameters
+        ----------
+        theta : (m,) array
+            All numbers.
+        free : (f,) int array
+            Indices of those by which motions are differentiated.
+        central : bool
+            Whether differences are taken both ways, as standard errors need them: what is only
+            rounding of one-sided ones would be taken for knowledge of a direction that motions do
+            not tell.
+
+        Returns
+        -------
+        Fitted
+            The residuals, whitened and weighted, with their derivatives.
         """
         space = self.library.simulator.space
         here = theta[free]
@@ -295,6 +380,16 @@ class OutputError:
 
         Along a direction that motions hardly tell, as where gain, rotor, damping and friction all
         grow alike, wide differences are too coarse for what is known beside the motions to count.
+
+        Parameters
+        ----------
+        end : Fitted
+            Where a fit ended, linearized by differences both ways.
+
+        Returns
+        -------
+        Fitted
+            Where steps gain no more, or where the settings' number of Jacobians is used up.
         """
         for _ in range(self.settings.settling):
             theta, gain = self._steps(end)
@@ -358,9 +453,25 @@ class OutputError:
         return thetas, promised
 
     def covariance(self, fitted: Fitted, prior: Array) -> Array:
-        """The covariance (f, f) of the fitted numbers, by the sandwich over pieces of motions.
+        """Compute the covariance of the fitted numbers, by the sandwich over pieces of motions.
 
-        prior: (f, f) what is known of the numbers beside the motions, as information.
+        The variance of a number that no motion tells is infinite.
+
+        Parameters
+        ----------
+        fitted : Fitted
+            The motions linearized at the numbers, f of which are free.
+        prior : (f, f) array
+            What is known of the numbers beside the motions, as information.
+
+        Returns
+        -------
+        (f, f) array
+            The covariance, in the units of the numbers.
+
+        References
+        ----------
+        White, Econometrica 50 (1982), 1: the sandwich estimator of a misspecified model.
         """
         f, count, width = fitted.rows.shape
         of_piece = self._of_piece(width)
@@ -371,10 +482,29 @@ class OutputError:
         information = fitted.gram + prior
         of_data = sandwich(rows, information, Units(label, False, label, "pieces"))[0]
         inverse = self._inverse(information)
-        return np.asarray(of_data + inverse @ prior @ inverse)
+        covariance = np.asarray(of_data + inverse @ prior @ inverse)
+        not_told = np.isnan(np.diag(covariance))
+        covariance[not_told] = 0.0
+        covariance[:, not_told] = 0.0
+        covariance[not_told, not_told] = np.inf
+        return covariance
 
     def halved(self, theta: Array, residuals: Array) -> Array:
-        """How residuals (W, n) change when physics steps are halved."""
+        """Compute how residuals change when physics steps are halved.
+
+        Parameters
+        ----------
+        theta : (m,) array
+            All numbers.
+        residuals : (W, n) array
+            Measured less predicted with the model's own physics step, under these numbers.
+
+        Returns
+        -------
+        (W, n) array
+            The residuals less those with halved steps; zeros where the simulator has no physics
+            steps.
+        """
         simulator = self.library.simulator
         if not isinstance(simulator, RobotSimulator):
             return np.zeros_like(residuals)
@@ -385,12 +515,22 @@ class OutputError:
         return np.asarray(residuals - self.motions.residuals(predicted.reshape(len(windows), -1)))
 
     def change_by_step(self, fitted: Fitted, prior: Array) -> Array:
-        """How far the fitted numbers (f,) are off because physics steps are not short.
+        """Compute how far the fitted numbers are off because physics steps are not short.
 
         Predictions change when steps are halved; these are the changes of the numbers that make up
         for that, taken twice, since errors fall with the step.
 
-        prior: (f, f) what is known of the numbers beside the motions, as information.
+        Parameters
+        ----------
+        fitted : Fitted
+            The motions linearized at the numbers, f of which are free.
+        prior : (f, f) array
+            What is known of the numbers beside the motions, as information.
+
+        Returns
+        -------
+        (f,) array
+            Sizes of the errors, in the units of the numbers.
         """
         if fitted not in self._by_step:
             self._by_step[fitted] = self.halved(fitted.theta, fitted.residuals)

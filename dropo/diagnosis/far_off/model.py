@@ -48,13 +48,35 @@ class FarOffModel:
         return self.library_with(())
 
     def library_with(self, more: Sequence[EffectInstance]) -> Library:
-        """The simulator with the numbers' effects, then others."""
+        """Build the simulator with the numbers' effects, then others.
+
+        Parameters
+        ----------
+        more : sequence of EffectInstance
+            The other effects, whose magnitudes come last.
+
+        Returns
+        -------
+        Library
+            The simulator with the places of all magnitudes.
+        """
         instances = [*(instance for instance, _ in self.numbers), *more]
         simulator = robot_of(self.problem).with_effects(instances)
         return Library(simulator, instances, len(self.declared))
 
     def theta_with(self, more: int = 0) -> Array:
-        """(m,) the declared parameters, the magnitudes, and as many zeros for other effects."""
+        """Join the declared parameters, the magnitudes, and zeros for other effects.
+
+        Parameters
+        ----------
+        more : int
+            Number of magnitudes of other effects.
+
+        Returns
+        -------
+        (m + more,) array
+            All numbers, each in its own unit.
+        """
         sizes = [size for _, size in self.numbers]
         return np.concatenate([self.declared, *sizes, np.zeros(more)])
 
@@ -70,7 +92,18 @@ class FarOffModel:
         return np.concatenate([self.free, effects]).astype(np.int64)
 
     def at(self, theta: Array) -> "FarOffModel":
-        """The model with other values (m,) of the same numbers."""
+        """Set other values of the same numbers.
+
+        Parameters
+        ----------
+        theta : (m,) array
+            The declared parameters, then the magnitudes.
+
+        Returns
+        -------
+        FarOffModel
+            The model with these values.
+        """
         numbers = []
         for instance, _ in self.numbers:
             sizes = theta[self.library.places[instance.label]]
@@ -88,18 +121,51 @@ class FarOffModel:
         return replace(self, problem=replace(self.problem, simulator=simulator))
 
     def with_data_of(self, problem: Problem) -> "FarOffModel":
-        """The model with a problem's data."""
+        """Exchange the data.
+
+        Parameters
+        ----------
+        problem : Problem
+            What the trajectories, held-out ones too, are taken from.
+
+        Returns
+        -------
+        FarOffModel
+            The model with these data; itself where it has them already.
+        """
         if problem.trajectories is self.problem.trajectories:
             return self
         return replace(self, problem=replace(problem, simulator=self.problem.simulator))
 
     def without(self, labels: Sequence[str]) -> "FarOffModel":
-        """The model without some of its effects."""
+        """Leave out some effects.
+
+        Parameters
+        ----------
+        labels : sequence of str
+            The labels of the effects that are left out.
+
+        Returns
+        -------
+        FarOffModel
+            The model with its other numbers as they are.
+        """
         kept = [(one, sizes) for one, sizes in self.numbers if one.label not in labels]
         return replace(self, numbers=tuple(kept))
 
     def with_numbers(self, numbers: ActiveEffects) -> "FarOffModel":
-        """The model with more effects."""
+        """Add effects.
+
+        Parameters
+        ----------
+        numbers : sequence of (EffectInstance, (q,) array)
+            The effects and their magnitudes, which come last.
+
+        Returns
+        -------
+        FarOffModel
+            The model with these numbers too.
+        """
         return replace(self, numbers=(*self.numbers, *numbers))
 
 

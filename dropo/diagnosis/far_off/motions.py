@@ -1,8 +1,10 @@
 """Long windows of which every step is compared, and how long they can be."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dropo.core.contracts.problem import Problem
 from dropo.core.numerics.robust_statistics import deviation
@@ -26,23 +28,30 @@ class MotionSettings:
     seconds : tuple of float
         Lengths of windows that are tried, rising [s].
     tried : int
-        Windows of which it is found out whether they can be so long.
+        Number of windows by which it is found out whether they can be so long.
     curved : float
         Fraction of the errors' variance that is not linear in the start's noise, above which
         windows are too long.
     physics_steps : int
-        About how many are simulated for all windows of a side.
+        About how many physics steps are simulated for all windows of a side.
     control_steps : int
-        How many at most are compared.
+        Largest number of control steps that are compared on a side.
     pool : int
-        Windows to fit are chosen from about so many times as many.
+        Windows to fit are chosen from about this many times as many.
+    looked_at : int
+        Of so many times the windows that are wanted it is found out which the start's noise bends.
+    resting : float
+        Fraction of a signal's usual change below which it rests.
+    spans : int
+        That change is over one of so many parts of a window.
     few : int
-        Windows of which it is found out whether the start's noise matters: ...
+        Number of windows by which it is found out whether the start's noise matters.
     start : float
-        ... if its variance on average over all steps is more than this fraction of the errors'.
+        The start's noise matters if its variance, averaged over all steps, is more than this
+        fraction of the errors' variance.
     rate_noise : float
-        Noise of a rate at the start, as a fraction of its spread, at least: rates were mostly
-        estimated from positions.
+        Lower bound of a rate's noise at the start, as a fraction of the rate's spread: rates were
+        mostly estimated from positions.
     """
 
     seconds: tuple[float, ...] = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 20.0)
@@ -51,6 +60,9 @@ class MotionSettings:
     physics_steps: int = 160_000
     control_steps: int = 16_000
     pool: int = 8
+    looked_at: int = 2
+    resting: float = 0.1
+    spans: int = 50
     few: int = 4
     start: float = 0.1
     rate_noise: float = 0.05
@@ -97,18 +109,81 @@ class Motions:
     loadings: Array
     start_sd: Array
 
+    @cached_property
+    def moving(self) -> NDArray[np.bool_]:
+        """(W L, p') where a signal that is compared moves."""
+        signals = self.of_compared(self.windows.measured)
+        signals = signals.reshape(len(self.windows), self.windows.length, -1)
+        return moving(signals).reshape(-1, signals.shape[2])
+
     def of_compared(self, values: Array) -> Array:
-        """Predictions or their changes (..., W, L p) of the signals compared: (..., W, L p')."""
+        """Select the compared signals.
+
+        Parameters
+        ----------
+        values : (..., W, L p) array
+            Predictions of all signals, or changes of them.
+
+        Returns
+        -------
+        (..., W, L p') array
+            Those of the compared signals.
+        """
         apart = values.reshape(*values.shape[:-1], self.windows.length, len(self.compared))
         return apart[..., self.compared].reshape(*values.shape[:-1], -1)
 
     def residuals(self, predicted: Array) -> Array:
-        """Measured less predicted (..., W, L p'), of predictions (..., W, L p)."""
+        """Compare predictions with what was measured.
+
+        Parameters
+        ----------
+        predicted : (..., W, L p) array
+            Predictions of all signals.
+
+        Returns
+        -------
+        (..., W, L p') array
+            Measured less predicted, of the compared signals, in their units.
+        """
         return self.of_compared(self.windows.measured - predicted)
 
     def whitener(self, scale: Array) -> Whitener:
-        """The covariance of residuals with errors (p',) in every step."""
+        """Build the covariance of residuals, the start's noise included.
+
+        Parameters
+        ----------
+        scale : (p',) array
+            Standard deviation of each compared signal's error in every step.
+
+        Returns
+        -------
+        Whitener
+            What whitens residuals.
+        """
         return Whitener(self.loadings, self.start_sd, white(scale))
+
+
+def moving(signals: Array, settings: MotionSettings = SETTINGS) -> NDArray[np.bool_]:
+    """Tell where signals move.
+
+    Parameters
+    ----------
+    signals : (W, L, p) array
+        In windows of L steps.
+    settings : MotionSettings
+        When a signal rests.
+
+    Returns
+    -------
+    (W, L, p) bool array
+        Whether a signal changes from here on by a part of what it usually changes by in that time.
+    """
+    length = signals.shape[1]
+    span = min(max(1, length // settings.spans), length - 1)
+    later = np.minimum(np.arange(length) + span, length - 1)
+    change = np.abs(signals[:, later] - signals[:, later - span])
+    usual = np.sqrt(np.mean(change**2, axis=(0, 1)))
+    return np.asarray(change >= settings.resting * usual)
 
 
 def motions_of(
@@ -136,7 +211,7 @@ def motions_of(
     Raises
     ------
     BadArgument
-        If the data are too few for the shortest windows.
+        If the data are too few for the shortest windows, or none are held out.
 
     References
     ----------
@@ -150,7 +225,11 @@ def motions_of(
     compared = ~is_rate if not is_rate.all() else is_rate
     count = _count(problem, length, settings)
     pool = cut(problem, whole, length, settings.pool * count, "fit", FEW)
-    train = pool.take(_most_telling(pool, compared, count))
+    order = _most_telling(pool, compared, settings.looked_at * count)
+    shares = _curved_shares(problem, library, theta, pool.take(order))
+    # Those that the start's noise bends too much come last, the least bent of them first.
+    bent = np.maximum(shares, settings.curved)
+    train = pool.take(order[np.argsort(bent, kind="stable")[:count]])
     test = _held_out(problem, length, settings)
     start_sd = first_noise(problem, library, train, theta, noise_floor(library.simulator, train))
     least = settings.rate_noise * spread_of(library.simulator, train)
@@ -224,9 +303,19 @@ def _noise_by_differences(windows: Windows, p: int) -> tuple[Array, Array]:
 
 
 def outer_spread(errors: Array) -> Array:
-    """Estimate the standard deviation (p,) of errors (n, p) about 0 by one of the larger ones.
+    """Estimate the standard deviation of errors about 0 by one of the larger ones.
 
     Errors that are not finite are larger than all others.
+
+    Parameters
+    ----------
+    errors : (n, p) array
+        Errors of p signals.
+
+    Returns
+    -------
+    (p,) array
+        The quantile `OUTER` of the sizes, in standard deviations of normal errors.
     """
     sizes = np.abs(np.where(np.isfinite(errors), errors, np.inf))
     return np.asarray(np.quantile(sizes, OUTER, axis=0, method="higher") / OUTER_NORMAL)
@@ -296,8 +385,11 @@ def _count(problem: Problem, length: int, settings: MotionSettings) -> int:
     return max(settings.tried, steps // length)
 
 
-def _curvature(problem: Problem, library: Library, theta: Array, windows: Windows) -> float:
-    """The part of errors in the windows' last quarter that the start's noise makes by curvature."""
+def _curved_shares(problem: Problem, library: Library, theta: Array, windows: Windows) -> Array:
+    """(W,) the part of errors in the last quarter that the start's noise makes by curvature.
+
+    Infinite where a simulation diverges.
+    """
     p = len(library.simulator.signals)
     sigma = first_noise(problem, library, windows, theta, noise_floor(library.simulator, windows))
     # Signs that follow no pattern, the same in every run.
@@ -311,6 +403,12 @@ def _curvature(problem: Problem, library: Library, theta: Array, windows: Window
     noise = np.tile(sigma, late.shape[2] // p)
     of_curve = np.mean((curved / noise) ** 2, axis=1)
     share = of_curve / (1 + np.mean((linear / noise) ** 2, axis=1) + of_curve)
+    return np.where(np.isfinite(share), share, np.inf)
+
+
+def _curvature(problem: Problem, library: Library, theta: Array, windows: Windows) -> float:
+    """What is bent of most windows."""
+    share = _curved_shares(problem, library, theta, windows)
     good = share[np.isfinite(share)]
     if len(good) < 0.5 * len(share):
         return np.inf

@@ -48,20 +48,22 @@ class FarOffSettings:
     misfit : float
         Multiple of the sensors' noise from which motions are not explained.
     share : float
-        Fraction of the cost on data held out that a group must take away, ...
+        Fraction of the cost on data held out that a group must take away.
     z : float
-        ... and standard errors, by piece of all data, that its gain must be above 0.
+        Number of standard errors, by piece of all data, that a group's gain must be above 0.
     needless : float
-        Standard errors up to which what is lost without a kind of effect is no reason to keep it.
+        Number of standard errors up to which what is lost without a kind of effect is no reason to
+        keep it.
     first : float
-        Length at most of the windows of the very first fit [s]: from far off, numbers that follow
+        Largest length of the windows of the very first fit [s]: from far off, numbers that follow
         long motions may end where only the slow ones are followed.
     rough : int
-        The first fits take one window of so many.
+        The first fits take one window of this many.
     simulated : int
-        Physics steps in all windows times numbers that the last fit takes about.
+        About how many physics steps in all windows, times numbers, the last fit takes.
     certain : float
-        Standard errors, on a scale of all forces that is known, that a number must be away from 0.
+        Number of standard errors, on a scale of all forces that is known, that a number must be
+        away from 0.
     scale : float
         Standard deviation of what is known of that scale, and of each drive's gain beside it, where
         motions do not tell it, as where a payload and rotors take up whatever the gain gives.
@@ -69,7 +71,7 @@ class FarOffSettings:
         Fraction of every number, with what the model has of it, that is added to its error: forces
         are known on the scale of the model's masses and inertias, which are not known better.
     motions : MotionSettings
-        Which windows.
+        Which windows are compared.
     rough_fit : OutputErrorSettings
         How the first fits are done.
     fit : OutputErrorSettings
@@ -210,6 +212,13 @@ class FarOffSearch:
         -------
         Explained
             Of the numbers so far, if the search is interrupted by Ctrl-C.
+
+        Raises
+        ------
+        BadArgument
+            If the data are too few for the shortest windows.
+        KeyboardInterrupt
+            If the search is interrupted before any numbers are fitted.
         """
         interrupted = False
         try:
@@ -413,7 +422,7 @@ class FarOffSearch:
         Where motions hardly tell the scale of all forces, small misfits seem to move it far.
         """
         errors = self._errors(model, error, end, self._prior(model, end, np.inf))
-        gains = _gains(model)[end.free]
+        gains = _gains(model)[end.free] & np.isfinite(np.diag(covariance))
         if not gains.any():
             return errors
         known = self._errors(model, error, end, self._prior(model, end, np.inf, KNOWN))

@@ -30,15 +30,17 @@ class FarOffLimits:
     Attributes
     ----------
     numbers : int
-        It is where by regression so many numbers are missing for certain ...
+        A model is far off for certain if by regression at least this many numbers are missing.
     gain : float
-        ... or the drives' gain is off by more than this fraction.
+        A model is also far off for certain if the drives' gain is off by this fraction or more.
     forces : float
-        It may be where the model leaves more than this fraction of the drives' forces, ...
+        A model may be far off if it leaves more than this fraction of the drives' forces; motions
+        are asked then.
     explained : float
-        ... numbers of several kinds explain at least this part of that, ...
+        It may be far off only if numbers of several kinds explain at least this fraction of those
+        forces.
     kinds : int
-        ... and there are so many kinds: motions are asked then.
+        Smallest number of such kinds.
     """
 
     numbers: int = 4

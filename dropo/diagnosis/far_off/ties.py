@@ -17,11 +17,12 @@ class TieSettings:
     Attributes
     ----------
     alone : float
-        Their error is so many times what it would be were the others known ...
+        Numbers are tied if their error is this many times what it would be were the others known.
     alike : float
-        ... and their errors are correlated by this.
+        Their errors must be correlated by at least this.
     share : float
-        One of them is known to no better than this fraction of itself, or of 1 if it is a fraction.
+        One of them must be known to no better than this fraction of itself, or of 1 if it is a
+        fraction.
     """
 
     alone: float = 3.0
@@ -46,7 +47,8 @@ def ties_of(
     model : FarOffModel
         With all numbers.
     covariance : (f, f) array
-        Of the fitted numbers.
+        Of the fitted numbers; infinite on the diagonal for those that no motion tells, which are
+        in no set.
     free : (f,) int array
         Which of all numbers they are.
     scale : float
@@ -60,6 +62,9 @@ def ties_of(
         A sentence for each set: each member, and its change where the first one is off by its
         error. A gain comes first.
     """
+    told = np.isfinite(np.diag(covariance))
+    covariance = covariance[np.ix_(told, told)]
+    free = free[told]
     spread = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     correlation = covariance / np.outer(spread, spread)
     alone = 1 / np.sqrt(np.maximum(np.diag(np.linalg.pinv(correlation, hermitian=True)), 1e-300))

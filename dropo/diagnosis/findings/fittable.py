@@ -65,14 +65,24 @@ def fittable(
 def _bounded(
     instance: EffectInstance, sizes: Array, cause: Cause, settings: FittableSettings
 ) -> EffectInstance:
-    """An effect whose quantities have bounds around their sizes, their own where none is known."""
+    """An effect whose quantities have bounds around their sizes, their own where none is known.
+
+    Own bounds are where a search by simulation ends; a regression may have found more than that.
+    """
     quantities = []
     for quantity, size in zip(instance.quantities, sizes.tolist(), strict=True):
         estimate = cause.estimate.get(quantity.name)
         se = np.nan if estimate is None else estimate.se
-        known = settings.errors * se if np.isfinite(se) else np.inf
-        half = max(known, settings.share * abs(size))
-        low = max(quantity.low, size - half)
-        high = min(quantity.high, size + half)
+        is_inside = quantity.low <= size <= quantity.high
+        least = settings.share * abs(size)
+        if np.isfinite(se):
+            half = max(settings.errors * se, least)
+        else:
+            half = np.inf if is_inside else least
+        low = size - half
+        high = size + half
+        if is_inside:
+            low = max(quantity.low, low)
+            high = min(quantity.high, high)
         quantities.append(replace(quantity, low=low, high=high))
     return replace(instance, quantities=tuple(quantities))

@@ -5,8 +5,8 @@ import numpy as np
 from dropo.core.records.parameters import ParameterSpace
 from dropo.diagnosis.search.linearization import Library
 from dropo.diagnosis.search.trials import State
+from dropo.evaluation.identifiability import describe_directions as sentences
 from dropo.evaluation.identifiability import null_directions
-from dropo.evaluation.identifiability import undetermined as sentences
 
 
 def undetermined(library: Library, last: State) -> tuple[str, ...]:

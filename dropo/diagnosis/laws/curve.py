@@ -38,6 +38,11 @@ def law_curve(
     -------
     LawCurve
         Over the one variable that the law has, or where it has several over its own value.
+
+    Raises
+    ------
+    AssertionError
+        If the simulator is not a `MujocoSimulator`, around which alone laws are found.
     """
     simulator = library.simulator
     if not isinstance(simulator, MujocoSimulator):

@@ -29,7 +29,7 @@ from dropo.diagnosis.search.linearization import (
 from dropo.diagnosis.search.review import Review, review
 from dropo.diagnosis.search.screening import Candidate
 from dropo.diagnosis.search.selection import Selection
-from dropo.diagnosis.search.trials import Batch, State, Trial, commonest_first
+from dropo.diagnosis.search.trials import Batch, State, Trial, most_plausible_first
 from dropo.effects.law import hidden_states, joint_variables, law_instance
 from dropo.effects.support.formula_values import Program, evaluate
 from dropo.mjmodel.forces import motors
@@ -296,12 +296,40 @@ def _columns(
 
 
 def joint_at(simulator: MujocoSimulator, name: str) -> Joint:
-    """Return the slide or hinge of that name."""
+    """Find a slide or hinge by its name.
+
+    Parameters
+    ----------
+    simulator : MujocoSimulator
+        The model.
+    name : str
+        The joint's name.
+
+    Returns
+    -------
+    Joint
+
+    Raises
+    ------
+    StopIteration
+        If the model has no such slide or hinge.
+    """
     return next(joint for joint in joints(simulator.model) if joint.name == name)
 
 
 def program_of(law: EffectInstance) -> Program:
-    """Return what a law of a joint evaluates."""
+    """Return what a law of a joint evaluates.
+
+    Parameters
+    ----------
+    law : EffectInstance
+        A law, as `dropo.effects.law.law_instance` makes it.
+
+    Returns
+    -------
+    Program
+        Its formula, compiled.
+    """
     hook = law.force
     program: Program = hook.args[-1]  # type: ignore[union-attr]
     return program
@@ -407,7 +435,7 @@ def _confirmed(
     if not groups:
         return None
     trials = [_tried(selection, state, proposal, alike) for proposal, alike in groups]
-    ordered = commonest_first(
+    ordered = most_plausible_first(
         sorted((trial for trial, *_ in trials), key=lambda one: -one.penalized_gain),
         selection.settings,
     )
@@ -540,7 +568,18 @@ def _told(
 
 
 def name_of(proposal: Proposal) -> str:
-    """Name the nearest known law: that of the terms that are no known effects."""
+    """Name the nearest known law: that of the terms that are no known effects.
+
+    Parameters
+    ----------
+    proposal : Proposal
+        The terms of a formula.
+
+    Returns
+    -------
+    str
+        The laws' names, joined by "and".
+    """
     names = [shape.law for shape in proposal.shapes if not shape.known]
     beside = [shape.law for shape in proposal.shapes if shape.known]
     return " and ".join(dict.fromkeys([*names, *beside]))

@@ -64,7 +64,19 @@ class ResidualForces:
         return max(float(self.residuals @ self.residuals) / count, 0.5)
 
     def by_piece(self, values: Array) -> Array:
-        """Average values (..., W (L + 1)) at states over the pieces: (..., W, P)."""
+        """Average values at states over the pieces of windows.
+
+        Parameters
+        ----------
+        values : (..., W (L + 1)) array
+            One number for each state of each window in turn.
+
+        Returns
+        -------
+        (..., W, P) array
+            Means over the steps of each piece, in the values' unit; a step has the mean of its two
+            states.
+        """
         count = len(self.responses)
         at = values.reshape(*values.shape[:-1], count, self.length + 1)
         steps = 0.5 * (at[..., 1:] + at[..., :-1])
@@ -74,9 +86,22 @@ class ResidualForces:
         return np.asarray(steps @ (inside / inside.sum(axis=0)))
 
     def columns(self, values: Array, dof: int) -> tuple[Array, Array]:
-        """Whiten what forces of the values (K, W (L + 1)) at a degree of freedom change.
+        """Whiten what forces at a degree of freedom change, and take out what is explained anyway.
 
-        Returns that without what is explained anyway (K, N), and its lengths with it (K,).
+        Parameters
+        ----------
+        values : (K, W (L + 1)) array
+            K forces in all states [N, N m].
+        dof : int
+            Where they act.
+
+        Returns
+        -------
+        left : (K, N) array
+            Whitened changes of the residuals, orthogonal to what is explained anyway; 0 where only
+            rounding is left.
+        lengths : (K,) array
+            Lengths of the changes before that was taken out.
         """
         pieces = self.by_piece(values)
         changes = np.einsum("wnp,kwp->kwn", self.responses[..., dof], pieces)
@@ -103,6 +128,11 @@ def residual_forces(library: Library, state: State, floor: Array) -> ResidualFor
     Returns
     -------
     ResidualForces
+
+    Raises
+    ------
+    AssertionError
+        If the simulator is not a `MujocoSimulator`, around which alone laws are looked for.
     """
     simulator = library.simulator
     if not isinstance(simulator, MujocoSimulator):

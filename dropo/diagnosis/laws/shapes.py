@@ -31,7 +31,18 @@ class Shape:
     known: bool = False
 
     def written(self, names: Sequence[str]) -> str:
-        """The term with the given names of its own constants."""
+        """Write the term with names of its own constants.
+
+        Parameters
+        ----------
+        names : sequence of str
+            A name for each own constant.
+
+        Returns
+        -------
+        str
+            The formula.
+        """
         return self.text.format(*names)
 
     @property
@@ -73,17 +84,17 @@ class ShapeSettings:
     Attributes
     ----------
     places : tuple of float
-        Quantiles of the position at which stops, slack and detents are tried ...
+        Quantiles of the position at which stops, slack and detents are tried.
     widths : tuple of float
-        ... and their widths, in parts of its range.
+        Widths of detents, as fractions of the position's range.
     speeds : tuple of float
         Quantiles of the speed that are tried as scales.
     orders : int
-        Orders of ripples, at most.
+        Highest order of the ripples that are tried.
     distances : tuple of float
-        Presliding distances, in parts of the range of the position.
+        Presliding distances, as fractions of the position's range.
     times : tuple of float
-        Time constants, in parts of the longest trajectory.
+        Time constants, as fractions of the longest trajectory.
     """
 
     places: tuple[float, ...] = (0.1, 0.25, 0.4, 0.5, 0.6, 0.75, 0.9)

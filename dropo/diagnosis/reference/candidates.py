@@ -112,6 +112,11 @@ def parameter_candidates(simulator: RobotSimulator) -> list[Candidate]:
     ----------
     simulator : RobotSimulator
         Whose parameters they are.
+
+    Returns
+    -------
+    list of Candidate
+        One for each of the d parameters, in the order of the simulator's space.
     """
     return [
         Candidate("parameter", own.name, "", "value", own.unit, -np.inf, np.inf)

@@ -27,21 +27,22 @@ class ChoiceSettings:
     Attributes
     ----------
     folds : int
-        Parts of the log, each of which is held out in turn.
+        Number of parts of the log, each of which is held out in turn.
     improvement : float
-        Fraction by which a group must lower the squared error on data held out, ...
+        Fraction by which a group must lower the squared error on data held out.
     block_z : float
-        ... the standard errors, by block of time, by which that must be above 0, ...
+        Number of standard errors, by block of time, by which that decrease must be above 0.
     force : float
-        ... and the force that it must explain, as a fraction of the drives' at its joints.
+        Force that a group must explain, as a fraction of the drives' at its joints.
     wald : float
-        Smallest squared size in squared standard errors.
+        Smallest square of a term's size, in squares of its standard error, with which it is kept.
     payload : float
         Fraction by which a payload must lower the spread of what is left at the joints.
     passes : int
-        How often weights, delay and payload are found in turn before anything is dropped.
+        Number of times that weights, delay and payload are found in turn before anything is
+        dropped.
     rounds : int
-        Groups that are accepted one after another, at most.
+        Largest number of groups that are accepted one after another.
     """
 
     folds: int = 8
@@ -91,10 +92,15 @@ class Chooser:
     settings: ChoiceSettings = field(default_factory=ChoiceSettings)
 
     def run(self) -> Solution:
-        """Choose and fit.
+        """Choose the terms that are missing, and fit them.
 
         The laws that every machine has come first, all of them at all joints; then what data held
         out do not ask for is dropped, others are added, and each number must stand on its own.
+
+        Returns
+        -------
+        Solution
+            The chosen terms with their sizes, the gain, the delay and the payload.
         """
         fitter = self.fitter
         families = families_of(fitter.terms)
@@ -110,10 +116,20 @@ class Chooser:
         return self.certain(solution)
 
     def of_laws(self, solution: Solution) -> set[int]:
-        """The chosen terms of a law that several joints have.
+        """Find the chosen terms of a law that several joints have.
 
         They stay free together, even where one of them is small by itself: left out, it would be
         made up for by the others.
+
+        Parameters
+        ----------
+        solution : Solution
+            The chosen terms.
+
+        Returns
+        -------
+        set of int
+            Indices of those terms.
         """
         families = families_of([self.fitter.terms[i] for i in solution.terms])
         found = set()
@@ -154,7 +170,22 @@ class Chooser:
         return [*whole, *((i,) for i in range(len(self.fitter.terms))), *common]
 
     def without_needless(self, solution: Solution, groups: Sequence[Group]) -> Solution:
-        """Drop the groups, and the payload, that data held out do not ask for, one at a time."""
+        """Drop the groups, and the payload, that data held out do not ask for, one at a time.
+
+        The one that is worth least goes first, and all other numbers are fitted again after each.
+
+        Parameters
+        ----------
+        solution : Solution
+            The numbers so far.
+        groups : sequence of tuple of int
+            Indices of the terms that are dropped together; of each, those that the solution has.
+
+        Returns
+        -------
+        Solution
+            The numbers without what is needless.
+        """
         while True:
             tables = self.tables(solution)
             present = self.held_out(solution, tables)
@@ -190,7 +221,22 @@ class Chooser:
         return [(_worth(errors, present)[0], without)]
 
     def with_more(self, solution: Solution, groups: Sequence[Group]) -> Solution:
-        """Add the groups that data held out ask for, the one that helps most first."""
+        """Add the groups that data held out ask for, the one that helps most first.
+
+        A group is left out where it would free the scale of all masses a second time.
+
+        Parameters
+        ----------
+        solution : Solution
+            The numbers so far.
+        groups : sequence of tuple of int
+            Indices of the terms that are added together.
+
+        Returns
+        -------
+        Solution
+            The numbers with up to `rounds` more groups.
+        """
         for _ in range(self.settings.rounds):
             tables = self.tables(solution)
             present = self.held_out(solution, tables)
@@ -218,7 +264,18 @@ class Chooser:
         return inertial and (GAIN in solution.chosen or solution.payload is not None)
 
     def certain(self, solution: Solution) -> Solution:
-        """Drop the terms that are small, or not certain, when all are fitted together."""
+        """Drop the terms that are small, or not certain, when all are fitted together.
+
+        Parameters
+        ----------
+        solution : Solution
+            The numbers so far.
+
+        Returns
+        -------
+        Solution
+            The numbers whose Wald statistic, size and force are large enough, and those of laws.
+        """
         while True:
             solution = self.fitter.refined(solution)
             variance = np.diag(self.fitter.covariance(solution))
@@ -240,7 +297,19 @@ class Chooser:
             solution = replace(solution, chosen=(*gain, *kept), sizes=sizes)
 
     def term_forces(self, solution: Solution) -> Array:
-        """(K,) RMS force of each chosen term, as a fraction of the drive's, where it is largest."""
+        """Compute how large the force of each chosen term is.
+
+        Parameters
+        ----------
+        solution : Solution
+            The numbers.
+
+        Returns
+        -------
+        (K,) array
+            RMS force, as a fraction of the drive's, at the degree of freedom where that is largest;
+            0 of terms that are not chosen.
+        """
         fitter = self.fitter
         drives = fitter.forces(solution.delay)
         share = np.zeros(len(fitter.terms))
@@ -255,7 +324,18 @@ class Chooser:
     # ---- what groups are worth on data held out
 
     def tables(self, solution: Solution) -> BlockTables:
-        """The tables of each block, at the solution's weights, delay and payload."""
+        """Compute what linear solves need of each block, by a solution's weights and delay.
+
+        Parameters
+        ----------
+        solution : Solution
+            The numbers.
+
+        Returns
+        -------
+        BlockTables
+            Of the B blocks of time, in their order.
+        """
         fitter = self.fitter
         needed = fitter.equation.needed
         payload = np.zeros_like(needed)
@@ -277,7 +357,21 @@ class Chooser:
         return BlockTables(np.array(grams), np.array(moments), np.array(sizes))
 
     def held_out(self, solution: Solution, tables: BlockTables) -> Array:
-        """(B,) the squared error of each block, fitted without the fold that it belongs to."""
+        """Compute the squared error of each block, fitted without the fold that it belongs to.
+
+        Parameters
+        ----------
+        solution : Solution
+            What is fitted: its chosen terms and its payload, at the payload's place.
+        tables : BlockTables
+            The tables of B blocks.
+
+        Returns
+        -------
+        (B,) array
+            Squared errors, in the unit of the weighted rows: about 1 for each row that is well
+            explained.
+        """
         terms = self.fitter.terms
         index = [0 if i == GAIN else i + 1 for i in solution.chosen]
         lowest = [

@@ -37,8 +37,10 @@ class EquationSettings:
 
     Attributes
     ----------
-    narrowest, widest : float
-        Widths of the first kernel that are taken, in rows.
+    narrowest : float
+        Smallest width of the first kernel, in rows.
+    widest : float
+        Largest width of the first kernel, in rows.
     noise : float
         The first kernel is widened until the noise of accelerations is this fraction of them.
     second : float
@@ -46,13 +48,14 @@ class EquationSettings:
     thin : float
         Distance of the rows that are kept, in widths of the second kernel.
     rows : int
-        Rows of the log that are used, at most, in stretches spread over all of it.
+        Largest number of rows of the log that are used, in stretches spread over all of it.
     stretch : float
-        Shortest stretch, in reaches of both kernels.
+        Length of the shortest stretch, in reaches of both kernels.
     still : float
-        A joint rests where it is slower than this fraction of its RMS speed ...
+        A joint rests where it is slower than this fraction of its RMS speed.
     still_noise : float
-        ... or than so many standard deviations of the speed's noise.
+        A joint also rests where it is slower than this many standard deviations of the speed's
+        noise.
     sticks : float
         A row is dropped for a joint that rests for this fraction of the second kernel.
     share : float
@@ -61,13 +64,13 @@ class EquationSettings:
     slow : float
         The speed at which the sign of dry friction fades out, in RMS speeds of a joint.
     delays : float
-        Longest delay of commands that is tried, in control steps ...
+        Longest delay of commands that is tried, in control steps.
     longest_delay : float
-        ... and in seconds.
+        Longest delay of commands that is tried, whatever the control step [s].
     block : float
-        Length of the blocks of time that errors are computed from [s], about.
+        About the length of the blocks of time that errors are computed from [s].
     blocks : int
-        Blocks there are at least, where the log is short.
+        Smallest number of blocks, where the log is short.
     """
 
     narrowest: float = 1.2
@@ -155,6 +158,11 @@ class Equation:
             "one"; of a floating base also "drive".
         dof : int
             Where it acts.
+
+        Returns
+        -------
+        (R, nv) array
+            The forces at all degrees of freedom [N, N m for a size of 1].
         """
         if self.by_joint:
             return self.by_joint[quantity][:, :, dof]
@@ -200,7 +208,17 @@ def refuse_unsuitable(simulator: RobotSimulator) -> None:
 
 
 def is_floating(model: Model) -> bool:
-    """Tell whether a model has degrees of freedom that are no joints, as those of a free base."""
+    """Tell whether a model has degrees of freedom that are no joints, as those of a free base.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+
+    Returns
+    -------
+    bool
+    """
     return len(joints(model)) < model.nv
 
 
@@ -273,7 +291,18 @@ def equation_of(
 
 
 def model_of(simulator: RobotSimulator) -> Model:
-    """Return the model of a robot with its fixed effects written into it."""
+    """Return the model of a robot with its fixed effects written into it.
+
+    Parameters
+    ----------
+    simulator : RobotSimulator
+        The robot.
+
+    Returns
+    -------
+    Model
+        A model with the fixed effects that are numbers of it.
+    """
     worker = Worker(simulator.model, ())
     worker.set(np.zeros(0), [one for one in simulator.fixed if not one[0].general])
     return worker.model
@@ -286,7 +315,33 @@ def _drives_at_rest(simulator: RobotSimulator) -> LinearDrives:
 
 
 class Log:
-    """Positions and commands of each run, on a uniform grid; refused without every position."""
+    """Positions and commands of each run, on a uniform grid.
+
+    Parameters
+    ----------
+    simulator : RobotSimulator
+        The robot, with n joints' positions (nq,) among its observations.
+    trajectories : Trajectories
+        What was measured.
+
+    Attributes
+    ----------
+    step : float
+        The control step [s].
+    joints : sequence of Joint
+        All joints, free ones too.
+    nv : int
+        Number of degrees of freedom.
+    positions : list of (T, nq) array
+        Of each run [rad, m]; the signs of quaternions do not change from row to row.
+    commands : list of (T, nu) array
+        Of each run, within the actuators' limits, as fixed effects change them.
+
+    Raises
+    ------
+    Incompatible
+        If a position is not observed.
+    """
 
     def __init__(self, simulator: RobotSimulator, trajectories: Trajectories):
         self.step = simulator.control_step
@@ -349,7 +404,22 @@ class Log:
         return found
 
     def motion(self, kernels: Array, rows: Array) -> tuple[Array, Array, Array]:
-        """Positions (n, nq), velocities and accelerations (n, nv) of a run's rows (n, nq)."""
+        """Smooth a run's positions, and differentiate them.
+
+        Parameters
+        ----------
+        kernels : (3, k) array
+            Kernels of the value and of its first and second derivatives [1, 1/s, 1/s^2].
+        rows : (n, nq) array
+            Positions of a run [rad, m].
+
+        Returns
+        -------
+        position : (n, nq) array
+            Smoothed positions, with quaternions of length 1.
+        velocity, acceleration : (n, nv) array
+            Their derivatives; of a free base the angular ones are in the body's frame.
+        """
         value, slope, curve = (apply_kernel(kernel, rows) for kernel in kernels)
         velocity = np.empty((len(rows), self.nv))
         acceleration = np.empty_like(velocity)
@@ -366,7 +436,18 @@ class Log:
         return value, velocity, acceleration
 
     def speeds(self, width: float) -> list[Array]:
-        """The smoothed velocities of each run."""
+        """Smooth the velocities of each run.
+
+        Parameters
+        ----------
+        width : float
+            Width of the kernel [s].
+
+        Returns
+        -------
+        list of (n, nv) array
+            Velocities [rad/s, m/s].
+        """
         kernels = derivative_kernels(width, self.step)
         return [self.motion(kernels, rows)[1] for rows in self.positions]
 

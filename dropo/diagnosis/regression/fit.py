@@ -34,17 +34,19 @@ class FitSettings:
     weight_floor : float
         No row counts more than if its error were this fraction of its joint's force.
     huber : float
-        Standard deviations from which an error counts linearly.
+        Number of standard deviations from which an error counts linearly.
     weightings : int
-        Rounds of weights in a linear solve.
+        Number of times that rows are weighted anew in a linear solve.
     steps : int
-        Gauss-Newton steps when all numbers are fitted together.
+        Number of Gauss-Newton steps when all numbers are fitted together.
     grid : int
-        Places along each axis at which a payload is tried.
+        Number of places along each axis at which a payload is tried.
     finer : int
-        Rounds in which that grid closes in on the best place.
+        Number of times that this grid closes in on the best place.
+    same_gain : float
+        Places whose gains differ by less than this fraction are equally good.
     misfit : float
-        The fraction of what is left, as variance, that may lie along any one number.
+        Fraction of what is left, as variance, that may lie along any one number.
     """
 
     weight_floor: float = 0.003
@@ -53,6 +55,7 @@ class FitSettings:
     steps: int = 10
     grid: int = 7
     finer: int = 5
+    same_gain: float = 1e-6
     misfit: float = 0.01
 
 
@@ -152,11 +155,33 @@ class Fitter:
         self._drives = CubicSpline(self.equation.delays, self.equation.drives, axis=0)
 
     def drives(self, delay: float) -> Array:
-        """(R, nv) the drives' forces at a delay of the commands [s]."""
+        """Interpolate the drives' forces at a delay of the commands.
+
+        Parameters
+        ----------
+        delay : float
+            The delay [s].
+
+        Returns
+        -------
+        (R, nv) array
+            Forces [N, N m].
+        """
         return np.asarray(self._drives(delay))
 
     def forces(self, delay: float) -> Array:
-        """(R, nv) the drives' forces, or where there is none what the motion needs; NaN unused."""
+        """Give the drives' forces, or where there is no drive what the motion needs.
+
+        Parameters
+        ----------
+        delay : float
+            Of the commands [s].
+
+        Returns
+        -------
+        (R, nv) array
+            Forces [N, N m]; NaN where a row does not count.
+        """
         there = np.where(self.equation.driven, self.drives(delay), self.equation.needed)
         return np.where(self.equation.used, there, np.nan)
 
@@ -166,7 +191,19 @@ class Fitter:
         return float(self.equation.delays[0]) / 2
 
     def start(self, chosen: tuple[int, ...]) -> Solution:
-        """Nothing is missing yet; rows count by the force of their joint."""
+        """Begin with a model that lacks nothing; rows count by the force of their joint.
+
+        Parameters
+        ----------
+        chosen : tuple of int
+            Indices of the terms that are there, with a size of 0; `GAIN` for the gain of the
+            drives.
+
+        Returns
+        -------
+        Solution
+            Without payload, at the delay of the model's own simulation.
+        """
         spread = np.nan_to_num(root_mean_square(self.forces(self.own_delay)))
         spread = np.where(spread > 0, spread, np.inf)
         weights = np.where(self.equation.used, 1.0 / spread, 0.0)
@@ -174,13 +211,35 @@ class Fitter:
         return Solution(chosen, sizes, 0.0, self.own_delay, None, weights, spread)
 
     def payload_column(self, payload: Payload) -> Array:
-        """(R, nv) the force that 1 kg at the payload's place needs."""
+        """Compute the force that 1 kg at the payload's place needs.
+
+        Parameters
+        ----------
+        payload : Payload
+            Its body and place; its mass is not used.
+
+        Returns
+        -------
+        (R, nv) array
+            Forces [N, N m].
+        """
         return np.asarray(self.equation.by_inertia[payload.body] @ point_mass(payload.place))
 
     # ---- linear in everything but the delay and the payload's place
 
     def solve(self, solution: Solution) -> Solution:
-        """The sizes, the gain and the payload's mass, robustly weighted."""
+        """Fit the sizes, the gain and the payload's mass by least squares, robustly weighted.
+
+        Parameters
+        ----------
+        solution : Solution
+            What is there, and the delay and the payload's place, which stay as they are.
+
+        Returns
+        -------
+        Solution
+            With these numbers, and weights from what is left.
+        """
         columns, target, lowest = self._system(solution)
         found = np.zeros(0)
         for _ in range(self.settings.weightings):
@@ -227,7 +286,18 @@ class Fitter:
         return replace(solution, weights=np.where(used, huber / spread, 0.0), spread=spread)
 
     def delayed(self, solution: Solution) -> Solution:
-        """The delay with the least error, by a parabola through the best three of a grid."""
+        """Find the delay with the least error, by a parabola through the best three of a grid.
+
+        Parameters
+        ----------
+        solution : Solution
+            What is there, and the weights; sizes are fitted again at each delay.
+
+        Returns
+        -------
+        Solution
+            The same with that delay [s].
+        """
         delays = self.equation.delays
         errors = np.empty(len(delays))
         for k, delay in enumerate(delays.tolist()):
@@ -246,10 +316,22 @@ class Fitter:
     # ---- the payload's place
 
     def loaded(self, solution: Solution, bodies: Iterable[int]) -> Solution:
-        """The payload on one of some bodies that lowers the error most, at the place where it does.
+        """Put the payload on the body, of some, and at the place that lower the error most.
 
         With all other numbers projected out, the error depends on a place through ten columns
         alone, so that a grid of places costs no dynamics.
+
+        Parameters
+        ----------
+        solution : Solution
+            What is there beside the payload, and the weights.
+        bodies : iterable of int
+            Places of the bodies among the moving ones.
+
+        Returns
+        -------
+        Solution
+            The same with that payload; unchanged where no mass lowers the error.
         """
         others, target, _ = self._system(replace(solution, payload=None))
         gram, moments = _normal_equations(others, target, solution.weights)
@@ -282,7 +364,9 @@ class Fitter:
             size = np.einsum("ij,jk,ik->i", numbers, left, numbers)
             seen = (along > 0) & (size > 1e-9 * np.trace(left))
             gains = np.where(seen, along**2 / np.where(seen, size, 1.0), 0.0)
-            k = int(np.argmax(gains))
+            # Of places that motions do not tell apart, the nearest to the centre.
+            as_good = np.flatnonzero(gains >= (1 - self.settings.same_gain) * gains.max())
+            k = int(as_good[np.argmin(np.linalg.norm(places[as_good] - centre, axis=1))])
             if gains[k] <= best[0]:
                 return best
             best = float(gains[k]), Payload(body, float(along[k] / size[k]), places[k])
@@ -293,7 +377,18 @@ class Fitter:
     # ---- all numbers together
 
     def refined(self, solution: Solution) -> Solution:
-        """All numbers fitted together, the payload's place and the delay too, by Gauss-Newton."""
+        """Fit all numbers together by Gauss-Newton, the payload's place and the delay too.
+
+        Parameters
+        ----------
+        solution : Solution
+            Where the steps begin.
+
+        Returns
+        -------
+        Solution
+            After the settings' number of steps, with weights from what is left.
+        """
         for _ in range(self.settings.steps):
             jacobian, residuals = self._linearized(solution)
             solution = self._reweighted(solution, residuals)
@@ -302,12 +397,34 @@ class Fitter:
         return self._reweighted(solution, self._linearized(solution)[1])
 
     def badness(self, solution: Solution) -> float:
-        """The logarithms of what is left at the joints, added over their rows."""
+        """Add up the logarithms of what is left at the joints, each over its rows.
+
+        Parameters
+        ----------
+        solution : Solution
+            The numbers, with the spread of what they leave.
+
+        Returns
+        -------
+        float
+            Less a constant, the negative log-likelihood of normal errors [nats].
+        """
         rows = self.equation.used.sum(axis=0)
         return float(rows @ np.log(np.where(rows > 0, solution.spread, 1.0)))
 
     def residuals(self, solution: Solution) -> Array:
-        """(R, nv) the drives' forces less what is explained."""
+        """Compute the drives' forces less what is explained.
+
+        Parameters
+        ----------
+        solution : Solution
+            The numbers.
+
+        Returns
+        -------
+        (R, nv) array
+            What is left [N, N m].
+        """
         return self._linearized(solution)[1]
 
     def _linearized(self, solution: Solution) -> tuple[Array, Array]:
@@ -362,14 +479,26 @@ class Fitter:
         return replace(solution, gain=1 / beta - 1, sizes=sizes, payload=payload, delay=delay)
 
     def covariance(self, solution: Solution) -> Array:
-        """(k, k) covariance of the numbers, with errors that depend on each other within a block.
+        """Compute the covariance of the numbers, with errors that depend on each other in a block.
 
-        Errors that are the same in all blocks count too, by the settings' `misfit`.
+        Errors that are the same in all blocks count too, by the settings' `misfit`. The variance of
+        a number that moves no force is infinite.
+
+        Parameters
+        ----------
+        solution : Solution
+            The numbers, with the weights of rows.
+
+        Returns
+        -------
+        (k, k) array
+            Of one over the gain's factor where it is free, the terms' sizes, the payload's mass
+            [kg] and place [m], and the delay [s], in this order.
 
         References
         ----------
-        .. [1] Liang, Zeger, Longitudinal data analysis using generalized linear models, Biometrika
-           73, 1986.
+        Liang and Zeger, Longitudinal data analysis using generalized linear models, Biometrika 73
+        (1986), 13.
         """
         jacobian, residuals = self._linearized(solution)
         weighted = jacobian * solution.weights[:, :, None]
@@ -386,7 +515,10 @@ class Fitter:
         middle = scores.T @ scores * count / max(count - 1, 1)
         # What is left is no noise: a part of it may lie along any number, the same in all blocks.
         common = self.settings.misfit * float(np.count_nonzero(solution.weights)) * inverse
-        return np.asarray(inverse @ middle @ inverse + common)
+        covariance = np.asarray(inverse @ middle @ inverse + common)
+        not_told = np.flatnonzero(np.isinf(scale))
+        covariance[not_told, not_told] = np.inf
+        return covariance
 
 
 def _normal_equations(columns: Array, target: Array, weights: Array) -> tuple[Array, Array]:
@@ -396,7 +528,18 @@ def _normal_equations(columns: Array, target: Array, weights: Array) -> tuple[Ar
 
 
 def root_mean_square(values: Array) -> Array:
-    """Return the root mean square (nv,) of rows (R, nv), NaN left out; 0 where all are NaN."""
+    """Return the root mean square of each column, NaN left out.
+
+    Parameters
+    ----------
+    values : (R, nv) array
+        Rows of any unit.
+
+    Returns
+    -------
+    (nv,) array
+        In the same unit; 0 where all rows are NaN.
+    """
     there = np.isfinite(values)
     total = np.sum(np.where(there, values, 0.0) ** 2, axis=0)
     return np.asarray(np.sqrt(total / np.maximum(there.sum(axis=0), 1)))

@@ -22,6 +22,7 @@ from dropo.diagnosis.parts import Alternative, Cause, Estimate
 from dropo.diagnosis.regression.choice import BlockTables, ChoiceSettings, Chooser
 from dropo.diagnosis.regression.equation import Equation, EquationSettings, equation_of
 from dropo.diagnosis.regression.fit import GAIN, FitSettings, Fitter, Solution, root_mean_square
+from dropo.diagnosis.regression.resimulation import ResimulationSettings, resimulated
 from dropo.diagnosis.regression.result import JointForces, QuickDiagnosis
 from dropo.diagnosis.regression.terms import Term, terms_of
 from dropo.diagnosis.regression.wiring import wiring_faults
@@ -65,6 +66,9 @@ class QuickSettings:
         How numbers are fitted.
     choice : ChoiceSettings
         When they are accepted.
+    resimulation : ResimulationSettings
+        When, and how, motions are simulated with the numbers found, to find them there again: what
+        changes is part of their standard errors.
     """
 
     checked: float = 0.2
@@ -78,6 +82,7 @@ class QuickSettings:
     equation: EquationSettings = field(default_factory=EquationSettings)
     fit: FitSettings = field(default_factory=FitSettings)
     choice: ChoiceSettings = field(default_factory=ChoiceSettings)
+    resimulation: ResimulationSettings = field(default_factory=ResimulationSettings)
 
 
 @dataclass(frozen=True)
@@ -126,6 +131,7 @@ class QuickDiagnose:
         fitted, checked = sides(problem, self.settings.checked)
         faults = wiring_faults(simulator, fitted)
         estimate = estimate_missing(problem, fitted, self.settings)
+        estimate = _with_bias(problem, fitted, estimate, self.settings)
         causes = [] if faults else self._causes(simulator, estimate)
         warnings = [*problem.warnings, *_warnings(simulator, estimate)]
         try:
@@ -287,9 +293,19 @@ class Missing:
         return float(np.sqrt(np.mean((root_mean_square(residuals) / drive) ** 2)))
 
     def numbers(self, simulator: RobotSimulator, certain: float) -> list[Number]:
-        """All numbers that were fitted, with their errors.
+        """List all numbers that were fitted, with their errors.
 
-        certain: the standard errors that a number must be away from 0 to be a cause.
+        Parameters
+        ----------
+        simulator : RobotSimulator
+            The robot, for the names of its drives and bodies.
+        certain : float
+            Standard errors that a number must be away from 0 to be a cause.
+
+        Returns
+        -------
+        list of Number
+            The gain, the terms, the payload and the delay, as far as they are there.
         """
         solution = self.solution
         errors = self.errors.tolist()
@@ -325,7 +341,10 @@ class Missing:
             name = moving_bodies(model)[payload.body][1]
             sizes = {"mass": Estimate(payload.mass, errors.pop(0), "kg", None)}
             for letter, value in zip("xyz", payload.place, strict=True):
-                sizes[letter] = Estimate(float(value), errors.pop(0), "m", None)
+                error = errors.pop(0)
+                # Motions may not tell a coordinate, such as the height where all axes are upright.
+                if error < self.fitter.reaches[payload.body]:
+                    sizes[letter] = Estimate(float(value), error, "m", None)
             # Data held out ask for it, however uncertain its mass beside the drives' gain.
             add("payload", ("payload", name, ""), -np.inf, **sizes)
         # A simulation of the model acts early by itself: what is to be typed makes up for that.
@@ -335,12 +354,36 @@ class Missing:
         return found
 
     def at_bound(self, i: int) -> bool:
-        """Whether the total of a term's number is 0, the least that it may be."""
+        """Tell whether the total of a term's number is 0, the least that it may be.
+
+        Parameters
+        ----------
+        i : int
+            The term's index.
+
+        Returns
+        -------
+        bool
+        """
         lowest = self.fitter.terms[i].lowest
         return bool(self.solution.sizes[i] <= lowest + 1e-6 * abs(lowest))
 
     def doubtful(self, certain: float) -> int | str | None:
-        """The least certain number, if it is within so many standard errors of 0."""
+        """Find the least certain number, if it is not certain.
+
+        The gain of all drives and the laws of several joints are none: left out, others would make
+        up for them.
+
+        Parameters
+        ----------
+        certain : float
+            Standard errors within which of 0 a number is not certain.
+
+        Returns
+        -------
+        int or None
+            The term's index; None where all are certain.
+        """
         solution = self.solution
         errors = self.errors.tolist()
         ratios: dict[int | str, float] = {}
@@ -356,7 +399,18 @@ class Missing:
         return None if least is None or ratios[least] > certain else least
 
     def without(self, index: int | str) -> Solution:
-        """The numbers without one of them, the rest as it is."""
+        """Take out one of the numbers, the rest as it is.
+
+        Parameters
+        ----------
+        index : int or str
+            A term's index, `GAIN`, "delay" or "payload".
+
+        Returns
+        -------
+        Solution
+            Without it; of the delay, with that of the model's own simulation.
+        """
         solution = self.solution
         if index == "delay":
             return replace(solution, delay=self.fitter.own_delay)
@@ -370,9 +424,19 @@ class Missing:
         return replace(solution, chosen=chosen, sizes=sizes, gain=gain)
 
     def gain_without(self, index: int | str) -> tuple[float, float]:
-        """What a number gains on data held out, and its error [nats per row of the equation].
+        """Compute what a number gains on data held out.
 
         Everything is fitted again without each fold in turn.
+
+        Parameters
+        ----------
+        index : int or str
+            A term's index, `GAIN`, "delay" or "payload".
+
+        Returns
+        -------
+        gain, error : float
+            The gain and its standard error by blocks [nats per row of the equation].
         """
         without = self.without(index)
         # The tables of blocks depend on the delay, not on what is chosen.
@@ -392,11 +456,35 @@ class Missing:
         return self.chooser.held_out(self.solution, self._tables)
 
     def left_without(self, index: int | str) -> float:
-        """What is left without a number, the others fitted again."""
+        """Compute what is left without a number, the others fitted again.
+
+        Parameters
+        ----------
+        index : int or str
+            A term's index, `GAIN`, "delay" or "payload".
+
+        Returns
+        -------
+        float
+            RMS of the forces that are left, as a fraction of the drives'.
+        """
         return self._left(self.fitter.solve(self.without(index)))
 
     def alternatives(self, index: int | str, similarity: float) -> tuple[Alternative, ...]:
-        """What has the same forces as a number, with all other numbers projected out."""
+        """Find what has the same forces as a number, with all other numbers projected out.
+
+        Parameters
+        ----------
+        index : int or str
+            A term's index, `GAIN`, "delay" or "payload".
+        similarity : float
+            Cosine of the two forces above which data cannot tell them apart.
+
+        Returns
+        -------
+        tuple of Alternative
+            The most similar first; none of a delay or a payload, which are not linear.
+        """
         if index in ("delay", "payload"):
             return ()
         fitter = self.fitter
@@ -492,6 +580,30 @@ def _errors(
     for place, i in enumerate(solution.terms):
         totals[offset + place] += fitter.terms[i].model or 0.0
     return np.sqrt(by_rows + moved**2 + step**2 + (settings.bias * totals) ** 2)
+
+
+def _with_bias(
+    problem: Problem, trajectories: Trajectories, estimate: Missing, settings: QuickSettings
+) -> Missing:
+    """The estimate, whose errors have what regression is off by where the truth is known.
+
+    The truth are the numbers found, in motions that are simulated with them.
+    """
+    simulator = robot_of(problem)
+    solution = estimate.solution
+    if estimate.fitter.equation.by_joint or not solution.terms:
+        return estimate
+    extended = simulator.with_effects((), fixed_numbers(simulator, estimate))
+    again = resimulated(extended, trajectories, settings.resimulation)
+    if again is None:
+        return estimate
+    fitter = _fitter(simulator, equation_of(problem, again, settings.equation), settings)
+    if [term.label for term in fitter.terms] != [term.label for term in estimate.fitter.terms]:
+        return estimate
+    own = fitter.start(solution.chosen)
+    begun = replace(solution, weights=own.weights, spread=own.spread)
+    bias = _values(fitter.refined(fitter.solve(begun))) - _values(solution)
+    return replace(estimate, errors=np.hypot(estimate.errors, bias))
 
 
 def sides(problem: Problem, checked: float) -> tuple[Trajectories, Trajectories]:

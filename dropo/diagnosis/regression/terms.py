@@ -274,13 +274,37 @@ def point_mass(place: Array) -> Array:
 
 
 def point_mass_slope(place: Array, axis: Array) -> Array:
-    """Return the derivative (10,) of the inertial numbers of 1 kg by its place along an axis."""
+    """Return the derivative of the inertial numbers of 1 kg by its place along an axis.
+
+    Parameters
+    ----------
+    place : (3,) array
+        In the body's frame [m].
+    axis : (3,) array
+        A unit vector in the body's frame.
+
+    Returns
+    -------
+    (10,) array
+        Per metre, as `dropo.mjmodel.body_regressors.INERTIAL` orders them.
+    """
     step = 1e-6
     return (point_mass(place + step * axis) - point_mass(place - step * axis)) / (2 * step)
 
 
 def families_of(terms: Sequence[Term]) -> dict[str, tuple[int, ...]]:
-    """Return the places of the terms by family."""
+    """Return the places of terms by family.
+
+    Parameters
+    ----------
+    terms : sequence of Term
+        The terms.
+
+    Returns
+    -------
+    dict of str to tuple of int
+        By the family's name, in the order in which the terms come.
+    """
     found: dict[str, tuple[int, ...]] = {}
     for i, term in enumerate(terms):
         found[term.family] = (*found.get(term.family, ()), i)

@@ -27,9 +27,9 @@ class WiringSettings:
     moving : float
         A command that moves less than this fraction of the largest is not looked at.
     lag : float
-        The longest time by which a joint follows its command [s] ...
+        Longest time by which a joint follows its command [s].
     lags : int
-        ... and how many are tried.
+        Number of such times that are tried.
     """
 
     follows: float = 0.6

@@ -9,6 +9,7 @@ import numpy as np
 
 from dropo.core.services.validation import Array
 from dropo.diagnosis.search.linearization import LinearizedWindows
+from dropo.diagnosis.search.plausibility import Plausibility
 from dropo.diagnosis.search.refit import DEFAULTS as REFIT
 from dropo.diagnosis.search.refit import RefitSettings
 from dropo.diagnosis.search.screening import ScreeningSettings
@@ -46,8 +47,8 @@ class SelectionSettings:
         confirmed.
     similarity : float
         Cosine of two whitened responses from which two effects do the same to the data.
-    equal : float
-        Penalized gains that differ by less are equal [nats].
+    plausibility : Plausibility
+        How usual each effect is: what decides between those that do the same to the data.
     deficit : float
         Held-out loss below which an effect with fewer magnitudes is as good [nats].
     first_noise_stride : int
@@ -86,7 +87,7 @@ class SelectionSettings:
     maximum_effects: int = 12
     maximum_polished: int = 3
     similarity: float = 0.98
-    equal: float = 2.0
+    plausibility: Plausibility = field(default_factory=Plausibility)
     deficit: float = 4.0
     first_noise_stride: int = 3
     maximum_diverging: float = 0.3

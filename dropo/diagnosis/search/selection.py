@@ -38,7 +38,7 @@ from dropo.diagnosis.search.record import Sides, recorded_sides
 from dropo.diagnosis.search.refit import NO_INDICES, refit, settle, with_noise
 from dropo.diagnosis.search.screening import Candidate, Screening, shortlist, with_constant
 from dropo.diagnosis.search.single_steps import absent_in_single_steps
-from dropo.diagnosis.search.trials import Batch, State, Trial, commonest_first
+from dropo.diagnosis.search.trials import Batch, State, Trial, most_plausible_first
 from dropo.diagnosis.search.whitening import Noise
 from dropo.diagnosis.search.windows import Windows
 
@@ -305,7 +305,7 @@ class Selection:
         Returns
         -------
         list of Trial
-            The one with the largest penalized gain first, as `commonest_first` orders them.
+            The one with the largest penalized gain first, as `most_plausible_first` orders them.
         """
         # The Jacobian by what is fitted already serves all candidates.
         jacobian: Array | None = None
@@ -318,7 +318,7 @@ class Selection:
             self.progress(done, f"fitting {candidate.instance.label}")
             trials.append(self._try_candidate(state, candidate, jacobian))
         trials.sort(key=lambda trial: -trial.penalized_gain)
-        return commonest_first(trials, self.settings)
+        return most_plausible_first(trials, self.settings)
 
     def only_by_feedback(self, state: State) -> bool:
         """Whether its last effect is there only because commands respond to random forces."""

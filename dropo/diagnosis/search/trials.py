@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dropo.core.contracts.effect import EffectInstance
-from dropo.core.services.registry import BUILT_IN
 from dropo.core.services.validation import Array
 from dropo.diagnosis.search.confirmation import SETTINGS, SelectionSettings, gain_of
 from dropo.diagnosis.search.linearization import LinearizedWindows
@@ -112,7 +111,7 @@ class Batch:
     screened : sequence of Candidate
         All candidates of the screening, the one that promises most first.
     trials : sequence of Trial
-        Those that were refitted, in the order of `commonest_first`.
+        Those that were refitted, in the order of `most_plausible_first`.
     """
 
     before: State
@@ -120,8 +119,10 @@ class Batch:
     trials: Sequence[Trial]
 
 
-def commonest_first(trials: list[Trial], settings: SelectionSettings = SETTINGS) -> list[Trial]:
-    """Put the simplest and commonest of equally good trials first.
+def most_plausible_first(
+    trials: list[Trial], settings: SelectionSettings = SETTINGS
+) -> list[Trial]:
+    """Put the simplest and most usual of equally good trials first.
 
     Parameters
     ----------
@@ -135,7 +136,8 @@ def commonest_first(trials: list[Trial], settings: SelectionSettings = SETTINGS)
     list of Trial
         First comes the one with the fewest magnitudes among those that windows held out cannot
         distinguish from the best; if several effects do the same to the data as it, then the one
-        that stands earliest in the registry. The others stay in their order.
+        with the largest sum of its penalized gain and its log odds (`Plausibility`). The others
+        stay in their order.
     """
     if not trials:
         return []
@@ -148,22 +150,18 @@ def commonest_first(trials: list[Trial], settings: SelectionSettings = SETTINGS)
             as_good.append(trial)
     simplest = min(as_good, key=lambda trial: len(trial.magnitudes))
 
-    # The commonest among those that do the same to the data as that one, and gain as much.
+    # Of those that do the same to the data as that one, what is gained and usual decides.
     alike = []
     for trial in trials:
         cosine = abs(float(trial.candidate.signature @ simplest.candidate.signature))
-        deficit = simplest.penalized_gain - trial.penalized_gain
-        if deficit < settings.equal and cosine > settings.similarity:
+        if trial is simplest or cosine > settings.similarity:
             alike.append(trial)
-    first = min(alike, key=lambda trial: _rank_in_registry(trial.candidate.instance.effect))
+    first = max(alike, key=lambda trial: _posterior(trial, settings))
 
     others = [trial for trial in trials if trial is not first]
     return [first, *others]
 
 
-def _rank_in_registry(effect: str) -> int:
-    """The position of an effect in the registry, where common ones come first; others are last."""
-    names = list(BUILT_IN["effects"])
-    if effect not in names:
-        return len(names)
-    return names.index(effect)
+def _posterior(trial: Trial, settings: SelectionSettings) -> float:
+    """What a trial gains, with the log odds of its effect [nats]."""
+    return trial.penalized_gain + settings.plausibility.of(trial.candidate.instance.effect)

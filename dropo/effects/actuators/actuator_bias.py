@@ -12,6 +12,16 @@ def actuator_bias(context: EffectContext) -> Iterator[EffectInstance]:
     """A constant that is added to an actuator's command, after the command was clamped.
 
     u' = u + b
+
+    Parameters
+    ----------
+    context : EffectContext
+        The robot for which instances are offered.
+
+    Yields
+    ------
+    EffectInstance
+        One for each actuator, with b in units of its command.
     """
     for actuator in actuators(context.model):
         largest = actuator.largest_command

@@ -12,6 +12,16 @@ def actuator_coupling(context: EffectContext) -> Iterator[EffectInstance]:
     """A fraction of an actuator's command that also reaches another actuator.
 
     u_j' = u_j + s u_i; the variant names actuator j.
+
+    Parameters
+    ----------
+    context : EffectContext
+        The robot for which instances are offered.
+
+    Yields
+    ------
+    EffectInstance
+        One for each ordered pair of actuators, with the pure number s.
     """
     found = actuators(context.model)
     for source in found:

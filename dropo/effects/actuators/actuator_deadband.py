@@ -17,6 +17,17 @@ def actuator_deadband(context: EffectContext) -> Iterator[EffectInstance]:
     Dead zone: u' = sign(u) max(|u| - w, 0). Backlash: the command moves the actuator through play
     of width w, which begins in its middle at the trajectory's first command. Both come before the
     command is clamped.
+
+    Parameters
+    ----------
+    context : EffectContext
+        The robot for which instances are offered.
+
+    Yields
+    ------
+    EffectInstance
+        Two for each actuator, with w in units of its command: the dead zone, and the variant
+        "backlash".
     """
     for actuator in actuators(context.model):
         largest = actuator.largest_command

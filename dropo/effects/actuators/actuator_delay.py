@@ -16,6 +16,17 @@ def actuator_delay(context: EffectContext) -> Iterator[EffectInstance]:
 
     u'(t) = u(t - T), as its mean over each physics step. Before a trajectory begins, its first
     command is taken to have been held.
+
+    Parameters
+    ----------
+    context : EffectContext
+        The robot for which instances are offered.
+
+    Yields
+    ------
+    EffectInstance
+        One for each actuator, and one for all of them alike where there are several, with T in
+        seconds.
     """
     dt = context.control_step
     for target, ids in each_and_all(actuators(context.model)):

@@ -14,6 +14,17 @@ def actuator_gain(context: EffectContext) -> Iterator[EffectInstance]:
     """The gain of an actuator, or of all of them alike.
 
     F' = (1 + g) F: the whole force by one factor, feedback terms included.
+
+    Parameters
+    ----------
+    context : EffectContext
+        The robot for which instances are offered.
+
+    Yields
+    ------
+    EffectInstance
+        One for each actuator, and one for all of them alike where there are several, with the pure
+        number g.
     """
     for target, ids in each_and_all(actuators(context.model)):
         gain = Quantity("gain", "1", -0.9, 4.0, (-0.05, -0.01, 0.01, 0.05), relative=True)

@@ -17,6 +17,17 @@ def actuator_lag(context: EffectContext) -> Iterator[EffectInstance]:
 
     T dx/dt = u - x, exact for commands that are held. What acts in a physics step is the mean of x
     over it. A trajectory begins settled on its first command.
+
+    Parameters
+    ----------
+    context : EffectContext
+        The robot for which instances are offered.
+
+    Yields
+    ------
+    EffectInstance
+        One for each actuator, and one for all of them alike where there are several, with T in
+        seconds.
     """
     dt = context.control_step
     for target, ids in each_and_all(actuators(context.model)):

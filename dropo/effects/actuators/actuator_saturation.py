@@ -14,6 +14,17 @@ def actuator_saturation(context: EffectContext) -> Iterator[EffectInstance]:
     """A limit of an actuator's command below the declared one.
 
     |u| <= (1 - s) u_max; of an actuator without a declared limit |u| <= 1 / s.
+
+    Parameters
+    ----------
+    context : EffectContext
+        The robot for which instances are offered.
+
+    Yields
+    ------
+    EffectInstance
+        One for each actuator, with the pure number s; of one without a declared limit s is in units
+        of 1 / command.
     """
     for actuator in actuators(context.model):
         if context.model.actuator_ctrllimited[actuator.id]:

@@ -16,6 +16,16 @@ def actuator_torque_speed(context: EffectContext) -> Iterator[EffectInstance]:
 
     F' = F max(1 - s |v|, 0) where F v > 0: the straight torque-speed line of a motor at constant
     voltage, with the no-load speed 1 / s.
+
+    Parameters
+    ----------
+    context : EffectContext
+        The robot for which instances are offered.
+
+    Yields
+    ------
+    EffectInstance
+        One for each actuator that drives a joint, with s in s/m or s/rad.
     """
     names = {actuator.id: actuator.name for actuator in actuators(context.model)}
     for joint, ids in motors(context.model):

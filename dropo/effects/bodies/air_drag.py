@@ -15,6 +15,17 @@ def air_drag(context: EffectContext) -> Iterator[EffectInstance]:
     """The density or the viscosity of the medium around the robot.
 
     MuJoCo computes the drag of each body from a box of equal inertia.
+
+    Parameters
+    ----------
+    context : EffectContext
+        The robot for which instances are offered.
+
+    Yields
+    ------
+    EffectInstance
+        Two, global: the variants "density" [kg/m^3] and "viscosity" [Pa s], each as a change of the
+        model's own.
     """
     for name, unit, scale in MEDIUM:
         base = float(getattr(context.model.opt, name))

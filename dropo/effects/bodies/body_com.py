@@ -17,6 +17,16 @@ def body_com(context: EffectContext) -> Iterator[EffectInstance]:
     It is left out for bodies that MuJoCo compiles as simple (free bodies whose frame is at their
     centre of mass) where the model cannot be compiled anew: MuJoCo cannot move their centre of mass
     otherwise.
+
+    Parameters
+    ----------
+    context : EffectContext
+        The robot for which instances are offered.
+
+    Yields
+    ------
+    EffectInstance
+        Three for each body that can move: the variants "x", "y" and "z", each a shift [m].
     """
     for body, name in moving_bodies(context.model):
         simple = bool(context.model.body_simple[body])

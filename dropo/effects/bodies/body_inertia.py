@@ -13,6 +13,16 @@ def body_inertia(context: EffectContext) -> Iterator[EffectInstance]:
     """The rotational inertia of a body, all its principal moments by one factor.
 
     I' = (1 + s) I
+
+    Parameters
+    ----------
+    context : EffectContext
+        The robot for which instances are offered.
+
+    Yields
+    ------
+    EffectInstance
+        One for each body that can move, with the pure number s.
     """
     for body, name in moving_bodies(context.model):
         base = float(context.model.body_inertia[body].max())

@@ -13,6 +13,16 @@ def body_mass(context: EffectContext) -> Iterator[EffectInstance]:
     """The mass of a body; its rotational inertia stays.
 
     m' = m + d
+
+    Parameters
+    ----------
+    context : EffectContext
+        The robot for which instances are offered.
+
+    Yields
+    ------
+    EffectInstance
+        One for each body that can move, with d in kg.
     """
     for body, name in moving_bodies(context.model):
         mass = float(context.model.body_mass[body])

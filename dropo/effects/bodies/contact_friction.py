@@ -18,6 +18,17 @@ def contact_friction(context: EffectContext) -> Iterator[EffectInstance]:
 
     mu' = (1 + s) mu. A contact takes the larger friction of its two geoms, so that one geom's has
     no effect below that of the world's geoms; such magnitudes are not offered.
+
+    Parameters
+    ----------
+    context : EffectContext
+        The robot for which instances are offered.
+
+    Yields
+    ------
+    EffectInstance
+        One for all geoms, then one for each that can touch something where there are several, with
+        the pure number s; none where nothing can touch.
     """
     model = context.model
     geoms = contact_geoms(model)

@@ -20,6 +20,17 @@ def contact_stiffness(context: EffectContext) -> Iterator[EffectInstance]:
     They are MuJoCo's solref and margin, of all geoms or of one. MuJoCo takes a mean of two geoms'
     solref, and the sum of their margins. Geoms that give stiffness and damping themselves (a
     negative solref) keep theirs.
+
+    Parameters
+    ----------
+    context : EffectContext
+        The robot for which instances are offered.
+
+    Yields
+    ------
+    EffectInstance
+        For all geoms, then for each where there are several: a factor of the time constant and of
+        the damping ratio, and a change of the margin [m].
     """
     geoms = contact_geoms(context.model)
     places: list[tuple[str | None, tuple[int, ...]]] = [(None, ())] if geoms else []

@@ -11,7 +11,18 @@ from dropo.mjmodel.bodies import moving_bodies
 
 
 def external_force(context: EffectContext) -> Iterator[EffectInstance]:
-    """A constant force at a body's centre of mass, along one of the world's axes."""
+    """A constant force at a body's centre of mass, along one of the world's axes.
+
+    Parameters
+    ----------
+    context : EffectContext
+        The robot for which instances are offered.
+
+    Yields
+    ------
+    EffectInstance
+        Three for each body that can move: the variants "x", "y" and "z", each a force [N].
+    """
     gravity = max(np.linalg.norm(context.model.opt.gravity), 1.0)
     weight = float(context.model.body_mass.sum() * gravity)
     for body, name in moving_bodies(context.model):

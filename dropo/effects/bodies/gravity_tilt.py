@@ -14,6 +14,16 @@ def gravity_tilt(context: EffectContext) -> Iterator[EffectInstance]:
     """The direction of gravity, as where the base is tilted.
 
     g' = R(angle) g, with R a rotation about the world's x or y axis.
+
+    Parameters
+    ----------
+    context : EffectContext
+        The robot for which instances are offered.
+
+    Yields
+    ------
+    EffectInstance
+        Two, global: the variants "x" and "y", each an angle [rad]; none without gravity.
     """
     if not np.any(context.model.opt.gravity):
         return

@@ -22,6 +22,17 @@ def payload(context: EffectContext) -> Iterator[EffectInstance]:
 
     The body's mass, centre of mass and rotational inertia change together. It is left out for
     bodies whose centre of mass cannot be moved (see `body_com`).
+
+    Parameters
+    ----------
+    context : EffectContext
+        The robot for which instances are offered.
+
+    Yields
+    ------
+    EffectInstance
+        For each body that can move one with its mass [kg] and its place [m], and one with its mass
+        alone for each named site of the body.
     """
     for body, name in moving_bodies(context.model):
         simple = bool(context.model.body_simple[body])

@@ -12,6 +12,17 @@ def wind(context: EffectContext) -> Iterator[EffectInstance]:
     """Wind along one of the world's axes, in a medium whose density is found with it.
 
     MuJoCo's drag, see `air_drag`.
+
+    Parameters
+    ----------
+    context : EffectContext
+        The robot for which instances are offered.
+
+    Yields
+    ------
+    EffectInstance
+        Three, global: the variants "x", "y" and "z", each with a density [kg/m^3] and a speed
+        [m/s].
     """
     option = context.model.opt
     base = float(option.density)

@@ -18,6 +18,17 @@ def gear_lash(context: EffectContext) -> Iterator[EffectInstance]:
     Actuators with states of their own, velocity servos and joints with several actuators are left
     out.
 
+    Parameters
+    ----------
+    context : EffectContext
+        The robot for which instances are offered.
+
+    Yields
+    ------
+    EffectInstance
+        One for each joint with a motor, with I in units of its command times s, or with a position
+        servo, with b in m or rad.
+
     Notes
     -----
     Motor: where the play b is open, the rotor moves against its drag, c dx/dt = u, and nothing

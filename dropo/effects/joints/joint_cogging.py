@@ -18,6 +18,16 @@ def joint_cogging(context: EffectContext) -> Iterator[EffectInstance]:
     """Torque of a driven hinge that repeats with its angle, as of a motor's cogs.
 
     a sin(n q) + b cos(n q), for each of some numbers n of cogs a turn; the variant names n.
+
+    Parameters
+    ----------
+    context : EffectContext
+        The robot for which instances are offered.
+
+    Yields
+    ------
+    EffectInstance
+        One for each driven hinge and number n of cogs, with a and b in N m.
     """
     driven = {
         actuator.joint.id: actuator.joint

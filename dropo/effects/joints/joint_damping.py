@@ -10,7 +10,19 @@ FIELD = ModelField("joint_damping", "dof_damping", "damping")
 
 
 def joint_damping(context: EffectContext) -> Iterator[EffectInstance]:
-    """Viscous damping of a joint, or of all of them alike."""
+    """Viscous damping of a joint, or of all of them alike.
+
+    Parameters
+    ----------
+    context : EffectContext
+        The robot for which instances are offered.
+
+    Yields
+    ------
+    EffectInstance
+        One for each joint, and one for all of a kind alike where there are several [N s/m of
+        slides, N m s/rad of hinges].
+    """
     for kind, same in by_kind(joints(context.model)):
         entries = [
             FieldEntry(joint.name, (joint.qvel,), 0.5 * float(context.model.dof_M0[joint.qvel]))

@@ -11,7 +11,19 @@ FIELD = ModelField("joint_friction", "dof_frictionloss", "frictionloss", bound=5
 
 
 def joint_friction(context: EffectContext) -> Iterator[EffectInstance]:
-    """Coulomb (dry) friction of a joint, or of all of them alike."""
+    """Coulomb (dry) friction of a joint, or of all of them alike.
+
+    Parameters
+    ----------
+    context : EffectContext
+        The robot for which instances are offered.
+
+    Yields
+    ------
+    EffectInstance
+        One for each joint, and one for all of a kind alike where there are several [N of slides, N
+        m of hinges].
+    """
     for kind, same in by_kind(joints(context.model)):
         entries = [
             FieldEntry(joint.name, (joint.qvel,), 0.01 * torque_scale(context.model, joint))

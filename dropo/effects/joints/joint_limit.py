@@ -10,7 +10,18 @@ FIELD = ModelField("joint_limit", "jnt_range", "stop")
 
 
 def joint_limit(context: EffectContext) -> Iterator[EffectInstance]:
-    """The position of a joint's lower or upper stop."""
+    """The position of a joint's lower or upper stop.
+
+    Parameters
+    ----------
+    context : EffectContext
+        The robot for which instances are offered.
+
+    Yields
+    ------
+    EffectInstance
+        Two for each joint with stops: the variants "lower" and "upper", each a shift [m or rad].
+    """
     for joint in joints(context.model):
         if not context.model.jnt_limited[joint.id]:
             continue

@@ -15,6 +15,16 @@ def joint_load_friction(context: EffectContext) -> Iterator[EffectInstance]:
     """Dry friction that grows by a fraction of the motors' force, as in gears under load.
 
     At most s |F|, which holds the joint where it rests.
+
+    Parameters
+    ----------
+    context : EffectContext
+        The robot for which instances are offered.
+
+    Yields
+    ------
+    EffectInstance
+        One for each joint with motors, with the pure number s.
     """
     for joint, ids in motors(context.model):
         fraction = Quantity("share", "1", 0.0, 0.9, (5e-3, 0.05))

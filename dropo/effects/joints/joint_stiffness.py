@@ -21,6 +21,17 @@ def joint_stiffness(context: EffectContext) -> Iterator[EffectInstance]:
     -k (q - r) about the model's rest position r; with the variant "rest", F - k (q - r) with a load
     F. Of a joint whose spring is linear both are numbers of the model: a load moves the rest
     position, and a load alone is that of a very weak spring with a rest position far away.
+
+    Parameters
+    ----------
+    context : EffectContext
+        The robot for which instances are offered.
+
+    Yields
+    ------
+    EffectInstance
+        Two for each joint: with k [N/m or N m/rad] alone, and the variant "rest" with k and F [N or
+        N m].
     """
     model = context.model
     for joint in joints(model):

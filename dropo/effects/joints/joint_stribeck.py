@@ -19,6 +19,16 @@ def joint_stribeck(context: EffectContext) -> Iterator[EffectInstance]:
 
     -F exp(-(v / v_s)^2) tanh(v / 0.01), where v_s is to be found too.
 
+    Parameters
+    ----------
+    context : EffectContext
+        The robot for which instances are offered.
+
+    Yields
+    ------
+    EffectInstance
+        One for each joint, with F [N or N m] and the logarithm of v_s / 0.5.
+
     References
     ----------
     Stribeck 1902, Die wesentlichen Eigenschaften der Gleit- und Rollenlager.

@@ -10,7 +10,18 @@ FIELD = ModelField("tendon_armature", "tendon_armature", "armature")
 
 
 def tendon_armature(context: EffectContext) -> Iterator[EffectInstance]:
-    """The inertia of what drives a tendon, which coupled joints share."""
+    """The inertia of what drives a tendon, which coupled joints share.
+
+    Parameters
+    ----------
+    context : EffectContext
+        The robot for which instances are offered.
+
+    Yields
+    ------
+    EffectInstance
+        One for each tendon of the model.
+    """
     for tendon in tendons(context.model):
         entry = FieldEntry(tendon.name, (tendon.id,), 0.1 * tendon.inertia)
         yield from FIELD.instances(context.model, [entry], tendon.mass, "")

@@ -10,7 +10,18 @@ FIELD = ModelField("tendon_damping", "tendon_damping", "damping")
 
 
 def tendon_damping(context: EffectContext) -> Iterator[EffectInstance]:
-    """The viscous damping of a tendon, which coupled joints share."""
+    """The viscous damping of a tendon, which coupled joints share.
+
+    Parameters
+    ----------
+    context : EffectContext
+        The robot for which instances are offered.
+
+    Yields
+    ------
+    EffectInstance
+        One for each tendon of the model.
+    """
     for tendon in tendons(context.model):
         entry = FieldEntry(tendon.name, (tendon.id,), 0.5 * tendon.inertia)
         yield from FIELD.instances(context.model, [entry], tendon.damping, "")

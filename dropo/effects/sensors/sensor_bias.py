@@ -14,6 +14,16 @@ def sensor_bias(context: EffectContext) -> Iterator[EffectInstance]:
     """A constant that is added to a signal; of a rotation, a small turn about an axis of the body.
 
     y' = y + b
+
+    Parameters
+    ----------
+    context : EffectContext
+        The robot for which instances are offered.
+
+    Yields
+    ------
+    EffectInstance
+        One for each compared signal, with b in its unit.
     """
     for place, (name, unit) in enumerate(context.signals):
         scale = LARGE_SENSOR_ERRORS.get(unit, 0.1)

@@ -20,6 +20,16 @@ def sensor_delay(context: EffectContext) -> Iterator[EffectInstance]:
 
     y'(t) = y(t - T). A start is moved on by T times the speed of the measured signal. A delay of
     all signals alike is the same as one of all commands (`actuator_delay`), which stands for both.
+
+    Parameters
+    ----------
+    context : EffectContext
+        The robot for which instances are offered.
+
+    Yields
+    ------
+    EffectInstance
+        One for each compared signal, with T in seconds.
     """
     dt = context.control_step
     count = len(context.signals)

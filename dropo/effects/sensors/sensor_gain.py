@@ -14,6 +14,16 @@ def sensor_gain(context: EffectContext) -> Iterator[EffectInstance]:
     """The scale of a signal; not of rotations, which have none.
 
     y' = (1 + g) y
+
+    Parameters
+    ----------
+    context : EffectContext
+        The robot for which instances are offered.
+
+    Yields
+    ------
+    EffectInstance
+        One for each compared signal, with the pure number g.
     """
     for place, (name, _) in enumerate(context.signals):
         if is_rotation(name):

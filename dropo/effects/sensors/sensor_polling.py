@@ -20,6 +20,16 @@ def sensor_polling(context: EffectContext) -> Iterator[EffectInstance]:
 
     Joint k of n is read (n - 1 - k) T before the last one, its position and velocity together;
     where T is negative, the last is read first.
+
+    Parameters
+    ----------
+    context : EffectContext
+        The robot for which instances are offered.
+
+    Yields
+    ------
+    EffectInstance
+        One, with T in seconds; none where fewer than two joints are read.
     """
     order = _order(context)
     count = max(order) + 1

@@ -224,7 +224,18 @@ STRENGTH = {"+": 1, "-": 1, "*": 2, "/": 2, "**": 4}
 
 
 def write_formula(root: Node) -> str:
-    """Write the tree of a formula as text that `read_formula` reads as the same tree."""
+    """Write a formula as text that `read_formula` reads as the same tree.
+
+    Parameters
+    ----------
+    root : Node
+        The tree of the formula.
+
+    Returns
+    -------
+    str
+        With brackets where the order of operations needs them.
+    """
     return _write(root)[0]
 
 
@@ -275,7 +286,18 @@ def _has(node: Node, name: str) -> bool:
 
 
 def exponents(unit: str) -> Array:
-    """(5,) the exponents of `BASES` in a unit such as "N m s^2/rad^2"; 1 is "1" or empty."""
+    """Read a unit as exponents of the base units.
+
+    Parameters
+    ----------
+    unit : str
+        Such as "N m s^2/rad^2"; "1" or empty for a pure number.
+
+    Returns
+    -------
+    (5,) array
+        The exponents of `BASES`.
+    """
     found = np.zeros(len(BASES))
     over, _, under = unit.partition("/")
     for text, sign in ((over, 1.0), (under.replace("/", " "), -1.0)):
@@ -287,7 +309,18 @@ def exponents(unit: str) -> Array:
 
 
 def unit_text(powers: Array) -> str:
-    """Write a unit of the exponents (5,) of `BASES`."""
+    """Write a unit.
+
+    Parameters
+    ----------
+    powers : (5,) array
+        The exponents of `BASES`.
+
+    Returns
+    -------
+    str
+        As `exponents` reads it; "1" for a pure number.
+    """
     over = [_power(name, power) for name, power in zip(BASES, powers, strict=True) if power > 0]
     under = [_power(name, -power) for name, power in zip(BASES, powers, strict=True) if power < 0]
     return (" ".join(over) or "1") + ("/" + " ".join(under) if under else "")

@@ -82,7 +82,18 @@ class ModelField:
             yield EffectInstance(self.effect, None, (quantity,), common_variant, model=change)
 
     def change(self, entries: Sequence[FieldEntry]) -> Callable[[Any, Array], None]:
-        """Make the `model` hook that adds the first magnitude to the entries."""
+        """Make the `model` hook that adds the first magnitude to the entries.
+
+        Parameters
+        ----------
+        entries : sequence of FieldEntry
+            The numbers of the model that change alike.
+
+        Returns
+        -------
+        callable
+            Takes the model, which it changes, and the magnitudes (q,).
+        """
         return partial(_add, self.field, tuple(entry.place for entry in entries))
 
     def _quantity(self, model: Any, entries: Sequence[FieldEntry], unit: str) -> Quantity:

@@ -30,5 +30,16 @@ def each_and_all(found: Sequence[Actuator]) -> list[tuple[str | None, tuple[int,
 
 
 def is_rotation(signal: str) -> bool:
-    """Whether the signal of that name is one of the three numbers of an orientation."""
+    """Return whether a signal is one of the three numbers of an orientation.
+
+    Parameters
+    ----------
+    signal : str
+        Its name, such as "qpos.torso.rx".
+
+    Returns
+    -------
+    bool
+        True where the name ends in rx, ry or rz and is of a position or a sensor.
+    """
     return signal.startswith(("qpos", "sensordata")) and signal.endswith((".rx", ".ry", ".rz"))

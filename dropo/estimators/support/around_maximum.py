@@ -13,8 +13,8 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.records.draws import Draws
 from dropo.core.records.fit import Fit
 from dropo.core.records.parameters import ParameterSpace
+from dropo.core.services.registry import find
 from dropo.core.services.validation import Array
-from dropo.estimators.dropo import DROPO
 from dropo.estimators.support.posterior_targets import Local
 
 
@@ -25,13 +25,17 @@ class WidthSettings:
     Attributes
     ----------
     errors : float
-        So many standard errors of the means.
-    least, first, largest : float
-        The least width, the largest one at first, and the largest one at all, as fractions of the
-        search interval.
-    edge, crowded : float
-        A model is too narrow where more than the fraction `crowded` of the draws lies in the last
-        fraction `edge` of a trusted interval.
+        A model is as wide as so many standard errors of the means.
+    least : float
+        Smallest width, as a fraction of the search interval.
+    first : float
+        Largest width of the first model, as a fraction of the search interval.
+    largest : float
+        Largest width of any model, as a fraction of the search interval.
+    edge : float
+        This fraction of a trusted interval, at either end, is its edge.
+    crowded : float
+        A model is too narrow where more than this fraction of the draws lies in an edge.
     """
 
     errors: float = 3.0
@@ -146,7 +150,7 @@ class AroundMaximum:
         if not self.noise.learned:
             count = len(self.problem.simulator.signals)
             epsilon = tuple(np.broadcast_to(self.noise.variance, count).tolist())
-        estimator = DROPO(
+        estimator = find("methods", "dropo")(
             likelihood=self.likelihood,
             family=self.family_name,
             epsilon=epsilon,
@@ -154,7 +158,8 @@ class AroundMaximum:
             degrees=self.noise.degrees,
         )
         # Draws have the priors; the likelihood is built where the data alone are best.
-        return estimator._fit(replace(self.problem, priors={}), self.run)
+        found: Fit = estimator._fit(replace(self.problem, priors={}), self.run)
+        return found
 
     def _build(self) -> Local:
         """The likelihood around the centre."""

@@ -14,7 +14,7 @@ from dropo.core.numerics.diverged_simulations import flat
 from dropo.core.records.fit import Fit, Status
 from dropo.core.records.fit_choices import NoiseTrial, NoiseTuning
 from dropo.core.services.validation import Array
-from dropo.estimators.least_squares import estimate, misfit
+from dropo.estimators.support.point_estimate import estimate, misfit
 
 
 @dataclass(frozen=True)
@@ -28,8 +28,8 @@ class NoiseSettings:
     accepted : float
         A sweep without a threshold accepts this multiple of its least mean squared error.
     rounding : float
-        What is added to that, as a fraction of the variance of all targets, so that errors which
-        differ by rounding alone are all accepted.
+        A sweep accepts errors that are larger by this fraction of the variance of all targets, so
+        that those which differ by rounding alone are all accepted.
     """
 
     lowest: float = 1e-8

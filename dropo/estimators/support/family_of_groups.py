@@ -23,9 +23,9 @@ class GroupsOfRowsSettings:
     Attributes
     ----------
     segments : int
-        About so many at most, evenly spread.
+        About so many segments are taken at most, evenly spread.
     width : float
-        The least width of their emulator, as a fraction of the search interval.
+        Smallest width of the groups' emulator, as a fraction of the search interval.
     """
 
     segments: int = 20000

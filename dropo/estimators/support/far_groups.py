@@ -24,7 +24,7 @@ class FarGroupSettings:
     settled : float
         A mode that is off by less than so many standard deviations of its group is right.
     off : float
-        One that is off by more in the end is warned of.
+        A mode that is off by more standard deviations in the end is warned of.
     named : int
         Groups named in a warning, at most.
     """

@@ -35,13 +35,15 @@ class FilterSettings:
     reset_probability : float
         An innovation that would be larger with this probability only, as at a contact, restarts
         the filter from the measurement.
-    minimum_step, maximum_step : float
-        Bounds of the half widths of differences in the states, as fractions of each signal's
-        standard deviation.
+    minimum_step : float
+        Smallest half width of differences in the states, as a fraction of each signal's standard
+        deviation.
+    maximum_step : float
+        Largest half width of them, as a fraction of the same.
     iterations : int
         Filter and fit alternate at most so often.
     tolerance : float
-        They end when no mean moves by more than this fraction of its standard error.
+        The alternation ends when no mean moves by more than this fraction of its standard error.
     initial_width : float
         Width of a fit that begins at the last one, as a fraction of the parameters' intervals.
     """

@@ -21,7 +21,7 @@ class FinalStepSettings:
     Attributes
     ----------
     simulations : int
-        Simulations of all segments, at most; each is followed by a step.
+        All segments are simulated so many times at most; a step follows each.
     settled : float
         A step below this fraction of the standard errors is the last.
     """
@@ -71,7 +71,8 @@ def corrected_by_simulation(
     places = mean_places(objective, problem.space)
     prior = MeanPrior(problem.priors, problem.space)
     targets = problem.simulator.targets(problem.segments)
-    corrected, point = objective, found.point
+    corrected = objective
+    point = found.point
     for _ in range(settings.simulations):
         mean = family.mean(point[: len(family.unknowns)])
         with run.counting(evaluations=1):
@@ -85,7 +86,8 @@ def corrected_by_simulation(
         moved[places] += step
         if np.any((moved < objective.unknowns.low) | (moved > objective.unknowns.high)):
             break
-        corrected, point = shifted, moved
+        corrected = shifted
+        point = moved
         if np.all(np.abs(step) <= settings.settled * errors):
             break
     return corrected, replace(found, point=point, value=float(corrected(point)))
@@ -101,7 +103,8 @@ def _fisher_step(
     """(d,) the step of the means that residuals' and prior's scores ask for, 0 on a bound; (d,)
     the means' standard errors behind it, by the sandwich of what the step leaves of the scores.
     """
-    low, high = objective.unknowns.low[places], objective.unknowns.high[places]
+    low = objective.unknowns.low[places]
+    high = objective.unknowns.high[places]
     free = (phi[places] > low) & (phi[places] < high)
     chosen = places[free]
     _, scores, information = objective.value_score_information(phi)

@@ -25,13 +25,46 @@ class Target(Protocol):
     unknowns: ParameterSpace
 
     def many(self, phi: Array) -> Array:
-        """Return the log-likelihoods (W,) of W phi (W, m) [nats]."""
+        """Evaluate the log-likelihood at many points.
+
+        Parameters
+        ----------
+        phi : (W, m) array
+            W numbers phi, each in the order of `unknowns`.
+
+        Returns
+        -------
+        (W,) array
+            In nats.
+        """
 
     def epsilon(self, phi: Array) -> Array:
-        """Return the noise variances (p,) of one phi (m,)."""
+        """Give the noise variances at one point.
+
+        Parameters
+        ----------
+        phi : (m,) array
+            In the order of `unknowns`.
+
+        Returns
+        -------
+        (p,) array
+            In squared signal units.
+        """
 
     def mean(self, phi: Array) -> Array:
-        """Return the mean prediction (R, p) of one phi (m,)."""
+        """Predict the compared rows' mean at one point.
+
+        Parameters
+        ----------
+        phi : (m,) array
+            In the order of `unknowns`.
+
+        Returns
+        -------
+        (R, p) array
+            In the signals' units.
+        """
 
 
 class PointLikelihood:
@@ -66,7 +99,18 @@ class PointLikelihood:
         self.unknowns = ParameterSpace((*problem.space, *self.noise.unknowns))
 
     def many(self, phi: Array) -> Array:
-        """Return the log-likelihoods (W,) of W phi (W, m) [nats]; NaN if a simulation failed."""
+        """Evaluate the log-likelihood at many points, with one batch of simulations.
+
+        Parameters
+        ----------
+        phi : (W, m) array
+            Parameters, then the numbers of the noise.
+
+        Returns
+        -------
+        (W,) array
+            In nats; NaN where a simulation failed.
+        """
         variance = np.array([self.epsilon(p) for p in phi])[:, None]  # (W, 1, p)
         predictions = self.simulator.predict(phi[:, : self.size], self.segments)
         errors = predictions - self.targets  # (W, R, p)
@@ -74,11 +118,33 @@ class PointLikelihood:
         return np.asarray(-0.5 * density.sum(axis=(1, 2)))
 
     def epsilon(self, phi: Array) -> Array:
-        """Return the noise variances (p,) of one phi (m,)."""
+        """Give the noise variances at one point.
+
+        Parameters
+        ----------
+        phi : (m,) array
+            Parameters, then the numbers of the noise.
+
+        Returns
+        -------
+        (p,) array
+            In squared signal units.
+        """
         return self.noise.epsilon(phi[self.size :])
 
     def mean(self, phi: Array) -> Array:
-        """Return the prediction (R, p) under one phi (m,)."""
+        """Predict the compared rows at one point.
+
+        Parameters
+        ----------
+        phi : (m,) array
+            Parameters, then the numbers of the noise.
+
+        Returns
+        -------
+        (R, p) array
+            In the signals' units; NaN where the simulation failed.
+        """
         prediction: Array = self.simulator.predict(phi[None, : self.size], self.segments)[0]
         return prediction
 
@@ -99,11 +165,33 @@ class OneByOne:
         self.mean = bound.mean
 
     def many(self, phi: Array) -> Array:
-        """Return the log-likelihoods (W,) of W phi (W, m) [nats]."""
+        """Evaluate the log-likelihood at one point after the other.
+
+        Parameters
+        ----------
+        phi : (W, m) array
+            W numbers phi, each in the order of `unknowns`.
+
+        Returns
+        -------
+        (W,) array
+            In nats.
+        """
         return np.array([self.bound(p) for p in phi])
 
     def rows(self, phi: Array) -> Array:
-        """Return the log density of each compared row (W, R) under W phi (W, m) [nats]."""
+        """Evaluate the log density of each compared row.
+
+        Parameters
+        ----------
+        phi : (W, m) array
+            W numbers phi, each in the order of `unknowns`.
+
+        Returns
+        -------
+        (W, R) array
+            In nats.
+        """
         return np.array([self.bound.rows(p) for p in phi])
 
 
@@ -124,7 +212,20 @@ class Local(OneByOne):
         self.best = np.clip(best, self.unknowns.low, self.unknowns.high)
 
     def value_score_information(self, phi: Array) -> tuple[Array, Array]:
-        """Return log-likelihoods (W,) [nats] and their gradients (W, m) at W phi (W, m)."""
+        """Evaluate the log-likelihood with its gradient at many points.
+
+        Parameters
+        ----------
+        phi : (W, m) array
+            W numbers phi, each in the order of `unknowns`.
+
+        Returns
+        -------
+        values : (W,) array
+            In nats.
+        gradients : (W, m) array
+            d value / d phi.
+        """
         values = []
         gradients = []
         for p in phi:
@@ -182,7 +283,20 @@ class SmoothLogPosterior(LogPosterior):
         self.local = target
 
     def value_score_information(self, phi: Array) -> tuple[Array, Array]:
-        """Return log densities (W,) and their gradients (W, m) at W phi (W, m)."""
+        """Evaluate the log posterior with its gradient at many points.
+
+        Parameters
+        ----------
+        phi : (W, m) array
+            W numbers phi, each in the order of the unknowns.
+
+        Returns
+        -------
+        values : (W,) array
+            In nats, up to a constant.
+        gradients : (W, m) array
+            d value / d phi.
+        """
         values, gradients = self.local.value_score_information(phi)
         return values + self.prior(phi), gradients + self.prior.gradient(phi)
 

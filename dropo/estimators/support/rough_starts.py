@@ -5,6 +5,8 @@ breaks contacts: what it leads to is no linear function of it. Such errors are n
 the motion. They are part of what learned noise and standard errors of dependent rows hold.
 """
 
+from dataclasses import dataclass, field
+
 import numpy as np
 
 from dropo.core.contracts.estimator import Run
@@ -22,7 +24,6 @@ SMOOTHED = (
     "Estimated states touch something: errors of starts are part of the noise, not carried through"
     " contacts."
 )
-SMOOTH = TrustRegionSettings()
 ROUGH = TrustRegionSettings(
     minimum_width=1e-3,
     coarse_iterations=4,
@@ -36,9 +37,49 @@ maxima come out a little different from each design."""
 FEW_SEGMENTS = GlobalSearchSettings(segments=16, descents=False)
 """Machines in contact are costly, and misfits jump: few segments from all over the box say where to
 begin, and wide regions of coarse models go on from there."""
-ROUGH_TAILS = 4.0
-"""Degrees of freedom of the noise where none are given: an error that makes or breaks a contact is
-large, and seldom."""
+
+
+@dataclass(frozen=True)
+class RoughStartSettings:
+    """How segments are fitted that start from estimated states and touch something.
+
+    Attributes
+    ----------
+    regions : TrustRegionSettings
+        How trust regions move where predictions jump.
+    points : GlobalSearchSettings
+        How much of the box and of the data is tried before.
+    degrees : float
+        Degrees of freedom of the noise where none are given: an error that makes or breaks a
+        contact is large, and seldom.
+    """
+
+    regions: TrustRegionSettings = ROUGH
+    points: GlobalSearchSettings = FEW_SEGMENTS
+    degrees: float = 4.0
+
+
+@dataclass(frozen=True)
+class SearchSettings:
+    """How the maximum of a likelihood of segments is searched.
+
+    Attributes
+    ----------
+    regions : TrustRegionSettings
+        How trust regions move, and when the outer iterations end.
+    points : GlobalSearchSettings
+        How much of the box and of the data is tried before, where there may be several optima.
+    rough : RoughStartSettings
+        What takes the place of both where errors of start states must not be carried through the
+        motion.
+    """
+
+    regions: TrustRegionSettings = field(default_factory=TrustRegionSettings)
+    points: GlobalSearchSettings = EVERYWHERE
+    rough: RoughStartSettings = field(default_factory=RoughStartSettings)
+
+
+SEARCH = SearchSettings()
 
 
 def starts_are_rough(problem: Problem) -> bool:
@@ -58,25 +99,35 @@ def starts_are_rough(problem: Problem) -> bool:
     return bool(problem.simulator.in_contact(problem.segments).any())
 
 
-def search_settings(problem: Problem) -> tuple[TrustRegionSettings, GlobalSearchSettings]:
+def search_settings(
+    problem: Problem, settings: SearchSettings = SEARCH
+) -> tuple[TrustRegionSettings, GlobalSearchSettings]:
     """Return how a problem is searched: in regions, and before, over the whole box.
 
     Parameters
     ----------
     problem : Problem
+        Whose start states decide.
+    settings : SearchSettings
+        How problems are searched.
 
     Returns
     -------
-    TrustRegionSettings
-    GlobalSearchSettings
+    regions : TrustRegionSettings
+    points : GlobalSearchSettings
     """
     if starts_are_rough(problem):
-        return ROUGH, FEW_SEGMENTS
-    return SMOOTH, EVERYWHERE
+        return settings.rough.regions, settings.rough.points
+    return settings.regions, settings.points
 
 
 def of_the_physics_step(
-    problem: Problem, run: Run, fit: Fit, objective: LocalLogLikelihood, point: Array
+    problem: Problem,
+    run: Run,
+    fit: Fit,
+    objective: LocalLogLikelihood,
+    point: Array,
+    settings: RoughStartSettings = SEARCH.rough,
 ) -> tuple[str, ...]:
     """Say which estimates are those of the model's physics step.
 
@@ -91,6 +142,8 @@ def of_the_physics_step(
         Of which the fit is the maximum; by its slopes and weights the estimates would move.
     point : (m,) array
         Its unknowns at the fit.
+    settings : RoughStartSettings
+        How rows far from the fit are weighed.
 
     Returns
     -------
@@ -115,7 +168,7 @@ def of_the_physics_step(
     residual = np.where(there, simulator.targets(segments) - own, 0.0)
     change = np.where(there, other - own, 0.0)
     z = (whiten @ residual[:, :, None])[:, :, 0]
-    weight = 1 / (ROUGH_TAILS + np.sum(z**2, axis=1))
+    weight = 1 / (settings.degrees + np.sum(z**2, axis=1))
     along = whiten @ slopes
     gram = np.einsum("rpi,r,rpj->ij", along, weight, along)
     moment = np.einsum("rpi,r,rpq,rq->i", along, weight, whiten, change, optimize=True)

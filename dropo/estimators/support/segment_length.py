@@ -15,8 +15,6 @@ from dropo.core.records.trajectories import Ints, Trajectories
 from dropo.core.services.errors import BadArgument, Incompatible, SimulationFailed
 from dropo.core.services.validation import Array, require
 
-LENGTHS = (1, 2, 5, 10, 20)
-
 
 @dataclass(frozen=True)
 class HorizonSettings:
@@ -24,10 +22,13 @@ class HorizonSettings:
 
     Attributes
     ----------
+    lengths : tuple of int
+        These horizons are tried where none are named [control steps].
     minimum_segments : int
-        Segments that a horizon needs in the fitted and in the held-out part.
+        A horizon needs so many segments in the fitted and in the held-out part.
     every : int
-        Every third trajectory, or the last third of each, is held out.
+        The last of every so many trajectories is held out; where there are fewer, the last of so
+        many parts of each.
     lowest : float
         Least standard deviation of an error, as a fraction of the signal's: smaller errors are not
         distinguished.
@@ -35,6 +36,7 @@ class HorizonSettings:
         Least variance beside the fit's spread, as a fraction of the mean squared residual.
     """
 
+    lengths: tuple[int, ...] = (1, 2, 5, 10, 20)
     minimum_segments: int = 10
     every: int = 3
     lowest: float = 1e-4
@@ -75,6 +77,11 @@ class ChooseHorizon(Estimator):
         The horizons to try, in control steps.
     settings : HorizonSettings
 
+    Raises
+    ------
+    BadArgument
+        If there are no lengths, or one is below 1.
+
     Notes
     -----
     Likelihoods with different horizons are of different data, so every fit is scored on the same
@@ -87,7 +94,7 @@ class ChooseHorizon(Estimator):
     """
 
     estimator: Estimator
-    lengths: tuple[int, ...] = LENGTHS
+    lengths: tuple[int, ...] = DEFAULTS.lengths
     settings: HorizonSettings = field(default_factory=HorizonSettings)
 
     def __post_init__(self) -> None:

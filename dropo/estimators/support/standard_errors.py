@@ -24,9 +24,11 @@ class DifferenceSettings:
 
     Attributes
     ----------
-    least, largest : float
-        Half widths of the simulator's differences: a contact that switches inside a step gives
-        slopes without bound as differences shrink.
+    least : float
+        Smallest half width of the simulator's differences: a contact that switches inside a step
+        gives slopes without bound as differences shrink.
+    largest : float
+        Largest half width of the simulator's differences.
     local : float
         Half width of a local model's differences, which is smooth.
     edge : float
@@ -264,9 +266,9 @@ def _of_prior(
     used = free & (np.diagonal(both) > 0)
     covariance = np.full(len(both), np.nan)
     covariance[used] = np.diagonal(inverse_information(both[np.ix_(used, used)]))
-    told = used & (np.diagonal(information) > 0)
+    known = used & (np.diagonal(information) > 0)
     of_data = np.full(len(both), np.inf)
-    of_data[told] = np.diagonal(inverse_information(information[np.ix_(told, told)]))
+    of_data[known] = np.diagonal(inverse_information(information[np.ix_(known, known)]))
     share = np.clip(1 - covariance / of_data, 0.0, 1.0)[places]
 
     expected = (curvature - curvature**2 * covariance)[places]

@@ -1,7 +1,7 @@
 """From a member of a family to a fit: moments, standard errors, and what speaks against them."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -25,14 +25,29 @@ from dropo.estimators.support.standard_errors import (
     standard_errors,
 )
 from dropo.evaluation.held_out import held_out_errors
-from dropo.evaluation.identifiability import blind_spots, determined, null_directions
+from dropo.evaluation.identifiability import describe_not_identifiable, determined, null_directions
 from dropo.evaluation.likely_cause import likely_cause
 from dropo.evaluation.model_check import check_model
 
-APART = 4.0
-"""A prior is warned of where data and prior are more standard deviations apart: by chance, one fit
-in 16,000."""
-NEAR = 1e-3  # of an unknown's interval: an estimate so near to its bound is warned of
+
+@dataclass(frozen=True)
+class SummarySettings:
+    """What a summary warns of.
+
+    Attributes
+    ----------
+    apart : float
+        A prior is warned of where data and prior are more standard deviations apart: by chance, one
+        fit in 16,000.
+    near : float
+        An estimate is warned of that is nearer to its bound than this fraction of the interval.
+    """
+
+    apart: float = 4.0
+    near: float = 1e-3
+
+
+SETTINGS = SummarySettings()
 
 
 def summarize(
@@ -52,6 +67,7 @@ def summarize(
     weighted_by: Array | None = None,
     warnings: Sequence[str] = (),
     memory: MemorySettings = MEMORY,
+    settings: SummarySettings = SETTINGS,
     **further: Any,
 ) -> Fit:
     """Make the fit of a member of a family.
@@ -84,6 +100,8 @@ def summarize(
         What the method has to say against it.
     memory : MemorySettings
         What of it the sensitivities of the checks may take.
+    settings : SummarySettings
+        What is warned of.
     **further
         Further fields of the fit: its typed parts, or an outside method's `arrays` and `details`.
 
@@ -95,12 +113,10 @@ def summarize(
     """
     own = phi[: len(family.unknowns)]
     mean = family.mean(own)
-    sd = family.sd(own)
-    correlation = family.correlation(own)
-    notes = [*problem.warnings, *warnings, *at_bounds(family.unknowns, own)]
-    prior = MeanPrior(problem.priors, problem.space)
+    notes = [*problem.warnings, *warnings, *at_bounds(family.unknowns, own, settings)]
     unknown = np.full(len(mean), np.nan)
     found: dict[str, Any] = {"mean_se": unknown, "scale_se": unknown, "degrees_of_freedom": unknown}
+    prior = MeanPrior(problem.priors, problem.space)
     try:
         errors = _standard_errors(
             problem, run, family, objective, phi, epsilon, weighted_by, prior, memory
@@ -108,19 +124,10 @@ def summarize(
     except SimulationFailed as error:
         notes.append(f"no standard errors: {error}")
     else:
-        # What neither the data nor a prior determine has no standard error.
-        null = null_directions(problem.space, errors.jacobian, epsilon)
-        left = null
-        if prior:
-            curvature = prior.information(mean)
-            left = null_directions(problem.space, errors.jacobian, epsilon, known=curvature)
-        mean_se = np.where(determined(problem.space, left), errors.mean, np.nan)
-        found = {"mean_se": mean_se, "scale_se": errors.scale, "degrees_of_freedom": errors.degrees}
-        found["correlation_se"] = errors.correlation
-        found["identifiability"] = tuple(blind_spots(problem, mean, errors.jacobian, null))
+        found = _with_errors(problem, mean, epsilon, errors, prior)
         if errors.prior is not None:
             found["priors"] = _prior_use(problem, errors.prior)
-            notes += _against_priors(found["priors"])
+            notes += _against_priors(found["priors"], settings)
 
         # Whether the model can be right, where a search came to an end.
         if status in (Status.CONVERGED, Status.OUT_OF_BUDGET):
@@ -137,8 +144,8 @@ def summarize(
         phi=own,
         mean=mean,
         scale=family.scale(own),
-        sd=sd,
-        correlation=correlation,
+        sd=family.sd(own),
+        correlation=family.correlation(own),
         epsilon=epsilon,
         log_likelihood=log_likelihood,
         mse=float(np.mean(misfit**2)),
@@ -154,6 +161,24 @@ def summarize(
         **found,
         **further,
     )
+
+
+def _with_errors(
+    problem: Problem, mean: Array, epsilon: Array, errors: StandardErrors, prior: MeanPrior
+) -> dict[str, Any]:
+    """The fields of standard errors; a mean that neither data nor prior determine has none."""
+    null = null_directions(problem.space, errors.jacobian, epsilon)
+    left = null
+    if prior:
+        curvature = prior.information(mean)
+        left = null_directions(problem.space, errors.jacobian, epsilon, known=curvature)
+    return {
+        "mean_se": np.where(determined(problem.space, left), errors.mean, np.nan),
+        "scale_se": errors.scale,
+        "degrees_of_freedom": errors.degrees,
+        "correlation_se": errors.correlation,
+        "identifiability": tuple(describe_not_identifiable(problem, mean, errors.jacobian, null)),
+    }
 
 
 def with_model_check(problem: Problem, run: Run, fit: Fit) -> Fit:
@@ -228,19 +253,19 @@ def _prior_use(problem: Problem, found: OfPrior) -> PriorUse:
     names = problem.space.names
     pull = dict(zip(names, found.pull.tolist(), strict=True))
     return PriorUse(
-        laws={name: describe(law) for name, law in problem.priors.items()},
+        laws={name: describe(prior) for name, prior in problem.priors.items()},
         share=dict(zip(names, found.share.tolist(), strict=True)),
         apart={name: pull[name] for name in problem.priors},
     )
 
 
-def _against_priors(use: PriorUse) -> list[str]:
+def _against_priors(use: PriorUse, settings: SummarySettings) -> list[str]:
     """A sentence on each prior that the data contradict."""
     return [
         f"the data contradict the prior {use.laws[name]} of {name}: they are {apart:.3g} standard"
         " deviations apart, and the fit lies between them"
         for name, apart in use.apart.items()
-        if apart > APART
+        if apart > settings.apart
     ]
 
 
@@ -270,7 +295,7 @@ def _check_model(
     )
 
 
-def at_bounds(space: ParameterSpace, phi: Array) -> list[str]:
+def at_bounds(space: ParameterSpace, phi: Array, settings: SummarySettings = SETTINGS) -> list[str]:
     """Name the means on a bound, and the scales on their upper one: the search wanted to go on.
 
     Parameters
@@ -279,6 +304,8 @@ def at_bounds(space: ParameterSpace, phi: Array) -> list[str]:
         The unknowns.
     phi : (m,) array
         Their values.
+    settings : SummarySettings
+        What counts as near.
 
     Returns
     -------
@@ -290,8 +317,8 @@ def at_bounds(space: ParameterSpace, phi: Array) -> list[str]:
     for i, (name, unit) in enumerate(zip(space.names, space.to_unit(phi), strict=True)):
         if name.startswith("partial."):  # of no meaning between parameters that do not vary
             continue
-        if unit > 1 - NEAR:
+        if unit > 1 - settings.near:
             sentences.append(f"{name} ends on its upper bound {space.high[i]:.6g}: {advice}")
-        elif unit < NEAR and name.startswith("mean."):
+        elif unit < settings.near and name.startswith("mean."):
             sentences.append(f"{name} ends on its lower bound {space.low[i]:.6g}: {advice}")
     return sentences

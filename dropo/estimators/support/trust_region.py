@@ -55,44 +55,55 @@ class TrustRegionSettings:
     Attributes
     ----------
     max_iterations : int
-        Outer iterations at most.
-    first_width, minimum_width : float
-        The first and largest width of a region, and the least one, as fractions of the search
-        interval. The least one is as large as a simulator of single precision asks for
-        (`Simulator.least_step`).
-    coarse_segments, coarse_segments_per_parameter : int
-        The first iterations see so many segments, or so many for each parameter if that is more.
+        There are so many outer iterations at most.
+    first_width : float
+        Width of the first region, and the largest of any, as a fraction of the search interval.
+    minimum_width : float
+        Smallest width of a region, as a fraction of the search interval; larger where a simulator
+        of single precision asks for it (`Simulator.least_step`).
+    coarse_segments : int
+        The first iterations see so many segments at least.
+    coarse_segments_per_parameter : int
+        The first iterations see so many segments for each parameter, if that is more.
     coarse_iterations : int
-        They end after so many iterations, or once the estimate is settled.
+        The first iterations end after so many, or once the estimate is settled.
     sample_segments : int
-        Where the data have `sample_factor` times as many segments or more, the next iterations see
-        so many, as fine as all of them; all are seen once the estimate is settled there.
+        The next iterations see so many segments, as fine as all of them, until the estimate is
+        settled there; then all are seen.
     sample_factor : float
-        As above.
+        There is such a sample where the data have at least this many times as many segments as it.
     sample_iterations : int
-        Iterations on the sample, at most.
-    sample_margin, sample_reach : float
+        The iterations on the sample end after so many.
+    sample_margin : float
         The first region of all segments is so many times as wide as the sample asks for, since its
-        estimate is off by what rows differ. The first maximum on all is taken if it is within so
-        many widths of the centre.
+        estimate is off by what rows differ.
+    sample_reach : float
+        The first maximum on all segments is taken if it is within so many widths of the centre.
     errors_wide : float
         A region is at least so many standard errors of the mean wide.
     followed_move : float
         A region is at least as wide as this fraction of the last move of the mean.
-    maximum_shrink, maximum_growth : float
-        The factors by which a width changes at most from one iteration to the next.
+    maximum_shrink : float
+        A width becomes smaller by at most this factor from one iteration to the next.
+    maximum_growth : float
+        A width becomes larger by at most this factor from one iteration to the next.
     settled_width : float
-        The estimate is settled when widths change by less than this fraction, and ...
-    settled_sd, settled_error, settled_minimum : float
-        ... the mean moves by less than these fractions of the distribution's standard deviation,
-        or of its own standard error, or of the least width.
+        The estimate is settled only where widths change by less than this fraction.
+    settled_sd : float
+        The estimate is settled only where the mean moves by less than this fraction of the
+        distribution's standard deviation, or as little as the next two fields say.
+    settled_error : float
+        A move below this fraction of the mean's own standard error is as good.
+    settled_minimum : float
+        A move below this fraction of the smallest width is as good.
     patience : int
         Iterations on all segments without a better likelihood, after which the best is taken.
     retries : int
         How often a width is halved where the simulations of a design diverge.
-    first_noise, first_scale : float
-        The first search begins with this factor of learned noise, and scales of this fraction of
-        the width.
+    first_noise : float
+        The first search begins with learned noise multiplied by this factor.
+    first_scale : float
+        The first search begins with scales of this fraction of the width.
     minimum_start_scale : float
         Later searches begin with scales of at least this fraction of the width.
     slow_iteration : float

@@ -29,9 +29,11 @@ class StepSettings:
     deviations : float
         Step of a start state in standard deviations of its noise: there, two points have the fourth
         moment of a normal source.
-    least_start, largest_start : float
-        Limits of it, as fractions of the signal's standard deviation over the data: shorter steps
-        miss contacts that the noise can make or break.
+    least_start : float
+        Shortest step of a start state, as a fraction of the signal's standard deviation over the
+        data: a shorter one misses contacts that the noise can make or break.
+    largest_start : float
+        Longest step of a start state, as a fraction of the same standard deviation.
 
     References
     ----------

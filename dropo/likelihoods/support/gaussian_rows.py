@@ -47,13 +47,35 @@ class Columns:
     by_spread: Array
 
     def whitened(self, whiten: Array) -> "Columns":
-        """Return the same in coordinates in which Sigma = L L' is 1; whiten: L^-1 (r, p, p)."""
+        """Return the same in coordinates in which the rows' covariance Sigma = L L' is 1.
+
+        Parameters
+        ----------
+        whiten : (r, p, p) array
+            L^-1 of each row.
+
+        Returns
+        -------
+        Columns
+            With a and b one object where they were one.
+        """
         a = whiten @ self.a
         b = a if self.b is self.a else whiten @ self.b
         return Columns(whiten @ self.mean, self.by_mean, a, b, self.by_spread)
 
     def beside(self, other: "Columns") -> "Columns":
-        """Return the slopes in the unknowns of both, those of the other behind."""
+        """Return the slopes in the unknowns of both.
+
+        Parameters
+        ----------
+        other : Columns
+            Slopes of the same r rows in m' other unknowns.
+
+        Returns
+        -------
+        Columns
+            In m + m' unknowns, those of the other behind.
+        """
         a = np.concatenate([self.a, other.a], axis=2)
         equal = self.b is self.a and other.b is other.a
         b = a if equal else np.concatenate([self.b, other.b], axis=2)
@@ -297,7 +319,18 @@ class GaussianRows(LocalLogLikelihood):
         return np.concatenate(means)
 
     def whitened_residuals(self, phi: Array) -> Array:
-        """Return L^-1 (measurements - mean) (R, p) under phi (m,), with Sigma = L L'."""
+        """Return L^-1 (measured - mean), with the rows' covariance Sigma = L L'.
+
+        Parameters
+        ----------
+        phi : (m,) array
+            As of `__call__`.
+
+        Returns
+        -------
+        (R, p) array
+            Independent standard normal numbers, if the model is right.
+        """
         member = self._member(self._own(phi))
         epsilon = self.epsilon(phi)
         out = np.empty_like(self.targets)

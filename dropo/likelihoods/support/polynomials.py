@@ -26,8 +26,10 @@ class DesignSettings:
 
     Attributes
     ----------
-    points_per_term, spare_points : float, int
-        Design points for M polynomials: points_per_term M + spare_points.
+    points_per_term : float
+        A design has so many points for each polynomial.
+    spare_points : int
+        It has so many points more, whatever the number of polynomials.
     rough_order : int
         Highest order of a first, rough fit.
     rough_line : float
@@ -50,7 +52,18 @@ class DesignSettings:
     singular: float = 1e-10
 
     def design_size(self, terms: int) -> int:
-        """Return the design points for so many polynomials."""
+        """Return how many points a design has.
+
+        Parameters
+        ----------
+        terms : int
+            Number M of polynomials.
+
+        Returns
+        -------
+        int
+            points_per_term M, rounded up, and the spare ones.
+        """
         return int(np.ceil(self.points_per_term * terms)) + self.spare_points
 
 
@@ -165,7 +178,18 @@ class Emulator:
         return self.residual.shape[0], self.residual.shape[1]
 
     def of_rows(self, rows: slice | Ints) -> Array:
-        """Return the coefficients (M, r, p) of some rows."""
+        """Return the coefficients of some rows, from memory or from their file.
+
+        Parameters
+        ----------
+        rows : slice or array of int
+            The r rows.
+
+        Returns
+        -------
+        (M, r, p) array
+            With the own constants where there are such.
+        """
         if isinstance(self.coefficients, FileRows):
             found = np.moveaxis(self.coefficients[rows], 1, 0)
         else:
@@ -176,14 +200,33 @@ class Emulator:
         return found
 
     def basis(self, values: Array) -> Array:
-        """Return the polynomials (K, M) at parameter vectors (K, d), array or tensor."""
+        """Evaluate the polynomials.
+
+        Parameters
+        ----------
+        values : (K, d) array
+            Parameter vectors in their units, array or tensor.
+
+        Returns
+        -------
+        (K, M) array
+            As `values`, array or tensor.
+        """
         x = namespace(values).log(values) if self.logarithmic else values
         return products((x - constant(self.centre, x)) / constant(self.width, x), self.indices)
 
     def basis_and_slopes(self, values: Array) -> Array:
-        """Return the polynomials, and their slopes by each parameter, (K, 1 + d, M).
+        """Evaluate the polynomials with their slopes by each parameter.
 
-        They are taken at parameter vectors (K, d), if these are the coordinates.
+        Parameters
+        ----------
+        values : (K, d) array
+            In the emulator's coordinates.
+
+        Returns
+        -------
+        (K, 1 + d, M) array
+            The polynomials, then d / d parameter of them.
         """
         u = (values - self.centre) / self.width
         unit = np.eye(u.shape[1], dtype=np.int64)
@@ -197,8 +240,19 @@ class Emulator:
         return np.stack(found, axis=1)
 
     def predict(self, values: Array, rows: slice | Ints | None = None) -> Array:
-        """Return emulated predictions (K, R, p) at parameter vectors (K, d), of some rows alone if
-        these are named.
+        """Emulate predictions.
+
+        Parameters
+        ----------
+        values : (K, d) array
+            Parameter vectors, in their units.
+        rows : slice or array of int, optional
+            The rows; by default all.
+
+        Returns
+        -------
+        (K, R, p) array
+            In the signals' units.
         """
         basis = self.basis(values)
         if rows is not None:

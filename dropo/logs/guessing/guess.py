@@ -1,6 +1,6 @@
 """The mapping of a log, guessed: which column is what, in which unit, each guess with its reason.
 
-In reading order: `guess_mapping` reads the names of all columns (`words.read_names`), sorts them by
+In reading order: `guess_mapping` reads the names of all columns (`log_columns`), sorts them by
 quantity, and lets `_Guesser` find time, positions, base, velocities and commands one after another.
 """
 
@@ -14,24 +14,19 @@ from dropo.core.services.errors import BadFile, Incompatible
 from dropo.core.services.validation import Array
 from dropo.logs.guessing import words
 from dropo.logs.guessing.base import BaseColumns, find_base, moving_base, quaternion_order
-from dropo.logs.guessing.places import POSSIBLE, likeness, match
+from dropo.logs.guessing.guessed import LISTED, Guess, quote
+from dropo.logs.guessing.log_columns import LogColumns
+from dropo.logs.guessing.places import PlaceSettings, likeness, match
 from dropo.logs.guessing.scales import (
     Scale,
-    accelerometer_unit,
+    ScaleSettings,
     angle_unit,
     command_unit,
     time_unit,
     velocity_unit,
 )
-from dropo.logs.guessing.sensors import (
-    ACCELEROMETER,
-    ORIENTATION,
-    SensorColumns,
-    find_sensor_columns,
-    match_by_name,
-    match_sensors,
-)
-from dropo.logs.guessing.words import ColumnName, read_names
+from dropo.logs.guessing.sensor_entries import take_sensors
+from dropo.logs.guessing.words import ColumnName
 from dropo.logs.readers.reader import Log
 from dropo.logs.signals.stamps import increasing
 from dropo.logs.units import UNITS, seconds
@@ -40,10 +35,6 @@ from dropo.mjmodel.joints import Joint, ModelJoints
 
 Ask = Callable[[str, Sequence[str]], str]
 """Asks a question that has some answers, on a terminal."""
-NAMED = "its name says so"
-"""Why a unit is taken."""
-LISTED = 8
-"""Columns that a line names."""
 FOLLOWS: dict[str | None, float] = {
     words.POSITION: 0.4,
     words.EFFORT: 0.9,
@@ -54,29 +45,23 @@ FOLLOWS: dict[str | None, float] = {
 what the model's actuators take."""
 
 
-@dataclass
-class Guess:
-    """What was guessed.
+@dataclass(frozen=True)
+class GuessSettings:
+    """What names and numbers of columns say.
 
     Attributes
     ----------
-    mapping : dict
-        The content of a mapping file.
-    lines : list of str
-        Every guess, with its reason.
-    undecided : list of str
-        What the names and numbers do not decide.
-    drives : dict
-        By joint what kind of command drives it, where the model has no actuators.
-    sensor_units : dict
-        By sensor why its unit was taken.
+    places : PlaceSettings
+        From when on a column's name is that of a joint.
+    scales : ScaleSettings
+        What the size of numbers says of their unit.
     """
 
-    mapping: dict[str, Any] = field(default_factory=dict)
-    lines: list[str] = field(default_factory=list)
-    undecided: list[str] = field(default_factory=list)
-    drives: dict[str, str] = field(default_factory=dict)
-    sensor_units: dict[str, str] = field(default_factory=dict)
+    places: PlaceSettings = field(default_factory=PlaceSettings)
+    scales: ScaleSettings = field(default_factory=ScaleSettings)
+
+
+DEFAULTS = GuessSettings()
 
 
 def guess_mapping(
@@ -84,6 +69,7 @@ def guess_mapping(
     robot: ModelJoints,
     given: dict[str, Any] | None = None,
     ask: Ask | None = None,
+    settings: GuessSettings = DEFAULTS,
 ) -> Guess:
     """Guess which columns of a log are the joints and actuators of a robot.
 
@@ -97,6 +83,8 @@ def guess_mapping(
         Entries of a mapping file that are not guessed.
     ask : callable, optional
         Asks what is not decided; without it, that is noted in `undecided`.
+    settings : GuessSettings, optional
+        What names and numbers say.
 
     Returns
     -------
@@ -109,7 +97,7 @@ def guess_mapping(
     Incompatible
         If the base moves in the log and is fixed in the model.
     """
-    guesser = _Guesser(log, robot, given or {}, ask)
+    guesser = _Guesser(log, robot, given or {}, ask, settings)
     guesser.find_time()
     guesser.find_runs()
     guesser.find_sensors()
@@ -121,70 +109,29 @@ def guess_mapping(
     return guesser.guess
 
 
-def _quote(columns: Sequence[ColumnName]) -> str:
-    """The names of columns, for a line."""
-    shown = ", ".join(repr(column.column) for column in columns[:LISTED])
-    more = len(columns) - LISTED
-    return f"{shown} and {more} more" if more > 0 else shown
-
-
 class _Guesser:
     """A log, a robot, and what has been guessed so far."""
 
-    def __init__(self, log: Log, robot: ModelJoints, given: dict[str, Any], ask: Ask | None):
+    def __init__(
+        self,
+        log: Log,
+        robot: ModelJoints,
+        given: dict[str, Any],
+        ask: Ask | None,
+        settings: GuessSettings,
+    ):
         self.guess = Guess()
         self._log = log
         self._robot = robot
         self._given = given
         self._ask = ask
+        self._settings = settings
         names = [*robot.joints, *robot.actuators]
-        self._columns = read_names(log, names)
-        self._used: set[ColumnName] = set()
-        self._values: dict[ColumnName, Array] = {}
+        self._columns = LogColumns(log, names)
         self._positions: dict[str, tuple[ColumnName, Scale]] = {}
-        self._base = find_base(self._columns, [joint.name for joint in self._free_joints()])
+        self._base = find_base(self._columns.all, [joint.name for joint in self._free_joints()])
 
     # what all steps need
-
-    def _of(self, quantity: str | None) -> list[ColumnName]:
-        """The columns of a quantity that are not used yet."""
-        return [one for one in self._columns if one.quantity == quantity and one not in self._used]
-
-    def _read(self, columns: Sequence[ColumnName]) -> list[Array]:
-        """The numbers of columns, NaN where a row has none."""
-        wanted: dict[str | None, list[ColumnName]] = {}
-        for column in columns:
-            if column not in self._values:
-                wanted.setdefault(column.topic, []).append(column)
-        for topic, of_topic in wanted.items():
-            found = self._read_topic(topic, [column.column for column in of_topic])
-            for column in of_topic:
-                self._values[column] = found[column.column]
-        return [self._values[column] for column in columns]
-
-    def _read_topic(self, topic: str | None, names: list[str]) -> dict[str, Array]:
-        """Columns of a topic as numbers; one that holds texts, too, has none."""
-        try:
-            found = self._log.read(topic, names, lambda fraction, text: None)
-        except BadFile:
-            if len(names) == 1:
-                return {names[0]: np.full(1, np.nan)}
-            return {name: self._read_topic(topic, [name])[name] for name in names}
-        out = {}
-        for name, values in found.items():
-            is_number = values.dtype.kind in "biuf"
-            out[name] = values.astype(float) if is_number else np.full(len(values), np.nan)
-        return out
-
-    def _finite(self, column: ColumnName) -> Array:
-        """The numbers of a column, without rows that have none."""
-        values = self._read([column])[0]
-        return values[np.isfinite(values)]
-
-    def _numeric(self, columns: Sequence[ColumnName]) -> list[ColumnName]:
-        """The columns that hold numbers."""
-        self._read(columns)  # all at once
-        return [column for column in columns if len(self._finite(column)) > 1]
 
     def _decide(self, question: str, options: Sequence[str]) -> str | None:
         """The answer to a question on a terminal; elsewhere None, and the question is noted."""
@@ -217,11 +164,12 @@ class _Guesser:
         fixed = {}
         for name in names:
             wanted = self._given_entry(quantity, name).get("column")
-            found = next((one for one in self._columns if one.column == wanted), None)
+            found = next((one for one in self._columns.all if one.column == wanted), None)
             if found is not None:
                 fixed[name] = found
         rest = [one for one in columns if one not in fixed.values()]
-        guessed, left = match(rest, [name for name in names if name not in fixed])
+        unnamed = [name for name in names if name not in fixed]
+        guessed, left = match(rest, unnamed, self._settings.places)
         found_all = fixed | guessed
         return {name: found_all[name] for name in names if name in found_all}, left
 
@@ -233,15 +181,15 @@ class _Guesser:
         wanted = given.get("column") if isinstance(given, dict) else None
         if self._log.topics() or (self._log.time_column and wanted is None):
             own = self._log.time_column
-            self._used |= set(self._of(words.TIME))
+            self._columns.used |= set(self._columns.of(words.TIME))
             if own is None:
                 self.guess.lines.append("time: the messages' own stamps")
                 return
             self.guess.lines.append(f"time: {own!r} in s, the stamps of this kind of log")
             self.guess.mapping["time"] = {"column": own}
             return
-        candidates = [one for one in self._columns if one.column == wanted] or self._clocks()
-        self._used |= set(self._of(words.TIME))
+        candidates = [one for one in self._columns.all if one.column == wanted] or self._clocks()
+        self._columns.used |= set(self._columns.of(words.TIME))
         if not candidates:
             if self._given.get("rate") is None:
                 self.guess.undecided.append(
@@ -250,16 +198,16 @@ class _Guesser:
                 )
             return
         column = candidates[0]
-        self._used.add(column)
-        stamps = self._finite(column)
+        self._columns.used.add(column)
+        stamps = self._columns.finite(column)
         if len(stamps) < 2:
             scale = Scale("s", "its cells are dates")
         else:
-            scale = time_unit(stamps, column.unit)
+            scale = time_unit(stamps, column.unit, self._settings.scales)
         if isinstance(given, dict) and given.get("unit"):
             scale = Scale(str(given["unit"]), "it was given")
         self.guess.mapping["time"] = {"column": column.column, "unit": scale.unit}
-        others = f"; {_quote(candidates[1:])} are left" if candidates[1:] else ""
+        others = f"; {quote(candidates[1:])} are left" if candidates[1:] else ""
         self.guess.lines.append(
             f"time: {column.column!r} in {scale.unit}, since {scale.why}{others}"
         )
@@ -267,24 +215,27 @@ class _Guesser:
     def _clocks(self) -> list[ColumnName]:
         """Columns that may be stamps, whose numbers go on."""
         found = []
-        named = self._of(words.TIME) or [
-            one for one in self._columns if set(words.tokens(one.column)) & set(words.TIME_UNITS)
+        named = self._columns.of(words.TIME) or [
+            one
+            for one in self._columns.all
+            if set(words.tokens(one.column)) & set(words.TIME_UNITS)
         ]
         for column in named:
-            values = self._read([column])[0]
+            values = self._columns.read([column])[0]
             there = values[np.isfinite(values)]
-            if not len(there) or np.mean(increasing(there)) > 0.9:
+            # Each run may begin at 0 again.
+            if len(there) < 2 or np.mean(np.diff(there) > 0) > 0.9:
                 found.append(column)
         return sorted(found, key=lambda one: len(one.rest))
 
     def find_runs(self) -> None:
         """Find the column that tells runs apart."""
         if self._log.run_column is not None or "run" in self._given:
-            self._used |= set(self._of(words.RUN))
+            self._columns.used |= set(self._columns.of(words.RUN))
             return
-        for column in self._of(words.RUN):
-            self._used.add(column)
-            numbers = self._read([column])[0]
+        for column in self._columns.of(words.RUN):
+            self._columns.used.add(column)
+            numbers = self._columns.read([column])[0]
             if not np.isfinite(numbers).all() or len(np.unique(numbers)) < len(numbers) / 10:
                 self.guess.mapping["run"] = {"column": column.column}
                 self.guess.lines.append(f"runs: told apart by {column.column!r}")
@@ -296,70 +247,15 @@ class _Guesser:
             return
         given = self._given.get("sensordata")
         entries = given if isinstance(given, dict) else {}
-        taken: set[ColumnName] = set(self._used)
-        if (
-            self._free_joints()
-            and len(self._base.position) == 3
-            and len(self._base.quaternion) == 4
-        ):
-            taken |= set(self._base.all()) - set(self._base.gyro)
-        free = [one for one in self._columns if one not in taken]
-        groups, left = match_sensors(find_sensor_columns(free), self._robot)
-        in_groups = {one for group in (*groups.values(), *left) for one in group.columns}
-        for name, group in groups.items():
-            columns = self._numeric(group.columns)
-            if len(columns) == len(group.columns):
-                self._take_sensor(name, group, entries.get(name))
-        rest = [one for one in free if one not in in_groups]
-        for name, columns_of in match_by_name(rest, self._robot).items():
-            if len(self._numeric(columns_of)) == len(columns_of):
-                unit = self._robot.sensors[name].units[0]
-                self._keep_sensor(name, columns_of, unit, "it is called so", entries.get(name))
+        taken: set[ColumnName] = set(self._columns.used)
+        base = self._base
+        if self._free_joints() and len(base.position) == 3 and len(base.quaternion) == 4:
+            taken |= set(base.all()) - set(base.gyro)
+        free = [one for one in self._columns.all if one not in taken]
+        take_sensors(self._columns, self._robot, free, entries, self.guess)
         # what is another sensor's is not the base's
-        others = [one for one in self._columns if one not in self._used]
+        others = [one for one in self._columns.all if one not in self._columns.used]
         self._base = find_base(others, [joint.name for joint in self._free_joints()])
-
-    def _take_sensor(self, name: str, group: SensorColumns, given: object) -> None:
-        """Take columns of an IMU into the mapping."""
-        columns = list(group.columns)
-        if group.kind == ORIENTATION:
-            why = "by the names"
-            if not group.is_named:
-                order = quaternion_order(np.stack(self._read(columns), axis=1))
-                columns = [columns[3], *columns[:3]] if order == "xyzw" else columns
-                why = f"taken as {order or 'wxyz'}"
-            self._keep_sensor(name, columns, "", why, given)
-            return
-        if group.unit is not None:
-            self._keep_sensor(name, columns, group.unit, NAMED, given)
-            return
-        if group.kind == ACCELEROMETER:
-            lengths = np.linalg.norm(np.stack(self._read(columns), axis=1), axis=1)
-            unit, why = accelerometer_unit(lengths)
-            self._keep_sensor(name, columns, unit, why, given)
-            return
-        self._keep_sensor(name, columns, "rad/s", "nothing says otherwise", given)
-
-    def _keep_sensor(
-        self, name: str, columns: Sequence[ColumnName], unit: str, why: str, given: object
-    ) -> None:
-        """Take columns into the mapping, in a unit."""
-        self._used |= set(columns)
-        entry: dict[str, Any]
-        if len(columns) == 1:
-            entry = {"column": columns[0].column}
-        else:
-            entry = {"columns": [one.column for one in columns]}
-        stated = given.get("unit") if isinstance(given, dict) else None
-        if unit and stated is None:
-            entry["unit"] = unit
-            self.guess.sensor_units[name] = why
-        if columns[0].topic is not None:
-            entry["topic"] = columns[0].topic
-        self.guess.mapping.setdefault("sensordata", {})[name] = entry
-        shown = f"in {stated}, since it was given" if stated else f"in {unit}, since {why}"
-        told = shown if unit else f"in w, x, y, z, {why}"
-        self.guess.lines.append(f"sensor: {name} = {_quote(list(columns))}; {told}")
 
     def find_positions(self) -> None:
         """Find the position of every hinge and slide, and their units."""
@@ -368,18 +264,18 @@ class _Guesser:
             for name, joint in self._robot.joints.items()
             if joint.kind in ("hinge", "slide")
         }
-        columns = self._numeric(self._of(words.POSITION))
+        columns = self._columns.numeric_of(words.POSITION)
         columns = [one for one in columns if one not in self._base.all()]
         found, left = self._match("qpos", columns, list(joints))
         missing = [name for name in joints if name not in found]
         if missing:  # a joint's bare name is its position
-            bare = [one for one in self._numeric(self._of(None)) if one not in self._base.all()]
+            bare = [one for one in self._columns.numeric_of(None) if one not in self._base.all()]
             more, _ = self._match("qpos", bare, missing)
             found |= more
         found = {name: found[name] for name in joints if name in found}
         if not found and not self._free_joints():
             self._refuse_positions(columns)
-        self._used |= set(found.values())
+        self._columns.used |= set(found.values())
         self._note_ambiguous(left, list(joints), found)
         hinges = [name for name in found if joints[name].kind == "hinge"]
         self._scale_angles(hinges, found, joints)
@@ -400,7 +296,7 @@ class _Guesser:
     def _refuse_positions(self, columns: Sequence[ColumnName]) -> None:
         """End where no column is a joint's."""
         names = list(self._robot.joints)
-        shown = _quote(columns or self._columns)
+        shown = quote(columns or self._columns.all)
         expected = f"columns that name the positions of the joints {', '.join(names[:LISTED])}"
         raise BadFile(self._log.path, "columns", expected, f"{shown}")
 
@@ -415,7 +311,8 @@ class _Guesser:
             options = [
                 one
                 for one in left
-                if likeness(one, name) >= POSSIBLE or (one.rest and one.rest[-1].isdigit())
+                if likeness(one, name) >= self._settings.places.possible
+                or (one.rest and one.rest[-1].isdigit())
             ]
             if not options:
                 continue
@@ -434,16 +331,18 @@ class _Guesser:
         if not hinges:
             return
         columns = [found[name] for name in hinges]
-        values = [self._finite(column) for column in columns]
+        values = [self._columns.finite(column) for column in columns]
         given = next((self._given_entry("qpos", name).get("unit") for name in hinges), None)
         hints = [given or column.unit for column in columns]
-        commands, _ = match(self._numeric(self._of(words.COMMAND)), hinges)
+        commands, _ = match(self._columns.numeric_of(words.COMMAND), hinges, self._settings.places)
         followed = [self._paired(commands[name], found[name]) for name in commands]
-        scale = angle_unit(values, [joints[name] for name in hinges], hints, followed)
+        scale = angle_unit(
+            values, [joints[name] for name in hinges], hints, followed, self._settings.scales
+        )
         if scale is None:
             size = max(float(np.abs(one).max()) for one in values)
             answer = self._decide(
-                f"Angles reach {size:.4g}: in which unit are {_quote(columns)}?", ["rad", "deg"]
+                f"Angles reach {size:.4g}: in which unit are {quote(columns)}?", ["rad", "deg"]
             )
             scale = Scale(answer or "rad", "that was the answer")
         for name, column in zip(hinges, columns, strict=True):
@@ -458,7 +357,7 @@ class _Guesser:
         if unit in ("m", "cm", "mm"):
             scale = Scale(unit, "its name says so")
         elif joint.range is not None:
-            size = float(np.abs(self._finite(column)).max())
+            size = float(np.abs(self._columns.finite(column)).max())
             reach = max(abs(end) for end in joint.range)
             for factor, other in ((100.0, "mm"), (3.0, "cm")):
                 if scale.unit == "m" and size > factor * reach:
@@ -487,16 +386,16 @@ class _Guesser:
         free = self._free_joints()
         base = self._base
         if not free:
-            used = {(one.topic, one.column) for one in self._used}
+            used = {(one.topic, one.column) for one in self._columns.used}
             moves = moving_base(self._log, self._robot, used)
             if moves is not None and moves.level == "error":
                 raise Incompatible(f"{self._log.path}: {moves.sentence} {moves.advice}")
-            self._used |= set(base.all())
+            self._columns.used |= set(base.all())
             return
-        values = dict(zip(base.all(), self._read(base.all()), strict=True))
+        values = dict(zip(base.all(), self._columns.read(base.all()), strict=True))
         if len(base.position) != 3 or len(base.quaternion) != 4:
             if not self._positions:
-                self._refuse_positions(self._numeric(self._of(words.POSITION)))
+                self._refuse_positions(self._columns.numeric_of(words.POSITION))
             self.guess.lines.append(
                 f"no pose of {free[0].name} in the log: the model's base starts where it stands "
                 "in the model, and falls; fix it there if the machine hung on a stand"
@@ -504,12 +403,12 @@ class _Guesser:
             return
         turn = self._order_of(base, values)
         seven = [*base.position, *turn]
-        self._used |= set(seven)
+        self._columns.used |= set(seven)
         entry: dict[str, Any] = {"columns": [one.column for one in seven]}
         if seven[0].topic is not None:
             entry["topic"] = seven[0].topic
         self.guess.mapping.setdefault("qpos", {})[free[0].name] = entry
-        self.guess.lines.append(f"base: {free[0].name} = {_quote(seven)}, in m and w, x, y, z")
+        self.guess.lines.append(f"base: {free[0].name} = {quote(seven)}, in m and w, x, y, z")
 
     def _order_of(self, base: BaseColumns, values: dict[ColumnName, Array]) -> list[ColumnName]:
         """The columns of the quaternion in the order w, x, y, z."""
@@ -518,7 +417,7 @@ class _Guesser:
         parts = np.stack([values[one] for one in base.quaternion], axis=1)
         order = quaternion_order(parts)
         if order is None:
-            question = f"In which order is the quaternion {_quote(base.quaternion)}?"
+            question = f"In which order is the quaternion {quote(base.quaternion)}?"
             order = self._decide(question, ["wxyz", "xyzw"])
         else:
             self.guess.lines.append(
@@ -530,11 +429,11 @@ class _Guesser:
 
     def find_velocities(self) -> None:
         """Find the velocities of the joints that have a position, and their units."""
-        columns = self._numeric(self._of(words.VELOCITY))
+        columns = self._columns.numeric_of(words.VELOCITY)
         found, _ = self._match("qvel", columns, list(self._positions))
         kept: dict[str, tuple[ColumnName, Scale]] = {}
         for name, column in found.items():
-            self._used.add(column)
+            self._columns.used.add(column)
             position, scale = self._positions[name]
             if column.topic != position.topic:
                 continue
@@ -544,7 +443,7 @@ class _Guesser:
                 continue
             hint = self._given_entry("qvel", name).get("unit") or column.unit
             place = UNITS[scale.unit][1] * (scale.sign * place + scale.offset)
-            unit = velocity_unit(time, place, speed, hint, joint)
+            unit = velocity_unit(time, place, speed, hint, joint, self._settings.scales)
             if unit is None:
                 self.guess.lines.append(
                     f"velocity: {column.column!r} is left out, since it does not fit the change "
@@ -563,7 +462,7 @@ class _Guesser:
 
     def _together(self, one: ColumnName, other: ColumnName) -> tuple[Array, Array, Array]:
         """Stamps [s] and numbers of two columns of a topic, in the rows that have all."""
-        first, second = self._read([one, other])
+        first, second = self._columns.read([one, other])
         time = self._time_of(one.topic, len(first))
         there = np.isfinite(first) & np.isfinite(second) & np.isfinite(time)
         rows = np.flatnonzero(there)
@@ -583,7 +482,7 @@ class _Guesser:
     def find_commands(self) -> None:
         """Find what was commanded to each actuator."""
         names, owners = self._driven()
-        candidates = self._numeric(self._of(words.COMMAND))
+        candidates = self._columns.numeric_of(words.COMMAND)
         by_kind: dict[str, dict[str, ColumnName]] = {}
         for kind in (words.POSITION, words.EFFORT, words.VELOCITY, None):
             of_kind = [one for one in candidates if one.kind == kind]
@@ -594,13 +493,14 @@ class _Guesser:
                 found |= self._match("ctrl", rest, unnamed)[0]
             missing = [name for name in names if name not in found]
             left = [one for one in of_kind if one not in found.values()]
-            by_joint, _ = match(left, [owners[name] for name in missing])
+            joints = [owners[name] for name in missing]
+            by_joint, _ = match(left, joints, self._settings.places)
             for name in missing:
                 if owners[name] in by_joint:
                     found[name] = by_joint[owners[name]]
             if found:
                 by_kind.setdefault(kind or self._kind_of(found, owners), found)
-        efforts, _ = self._match("ctrl", self._numeric(self._of(words.EFFORT)), names)
+        efforts, _ = self._match("ctrl", self._columns.numeric_of(words.EFFORT), names)
         if efforts and words.EFFORT not in by_kind:
             by_kind["measured torque"] = efforts
         self._take_commands(by_kind, names, owners)
@@ -643,7 +543,7 @@ class _Guesser:
             position = self._positions.get(owners[name])
             if position is None or position[0].topic != column.topic:
                 continue
-            commands, places = self._read([column, position[0]])
+            commands, places = self._columns.read([column, position[0]])
             there = np.isfinite(commands) & np.isfinite(places)
             if np.ptp(commands[there]) > 0 and np.ptp(places[there]) > 0:
                 pairs.append(np.stack([commands[there], places[there]]))
@@ -713,7 +613,7 @@ class _Guesser:
         entries = {}
         units = {}
         for name, column in chosen.items():
-            self._used.add(column)
+            self._columns.used.add(column)
             given = self._given_entry("ctrl", name).get("unit")
             scale = self._command_scale(column, kind, owners[name])
             if given is not None:
@@ -749,7 +649,7 @@ class _Guesser:
 
     def _paired(self, one: ColumnName, other: ColumnName) -> tuple[Array, Array]:
         """Two columns at the same rows; of topics of other rates, by their time."""
-        first, second = self._read([one, other])
+        first, second = self._columns.read([one, other])
         if one.topic != other.topic:
             at = self._time_of(one.topic, len(first))
             known = self._time_of(other.topic, len(second))
@@ -759,8 +659,8 @@ class _Guesser:
 
     def say_what_is_left(self) -> None:
         """Name the columns that are not used."""
-        left = [one for one in self._columns if one not in self._used]
+        left = [one for one in self._columns.all if one not in self._columns.used]
         if left:
-            self.guess.lines.append(f"not used: {_quote(left)}")
+            self.guess.lines.append(f"not used: {quote(left)}")
         if not self.guess.mapping.get("ctrl"):
             self.guess.mapping.pop("ctrl", None)

@@ -2,22 +2,38 @@
 
 import difflib
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from dropo.logs.guessing.words import ColumnName, tokens
 
-ALIKE = 0.6
-"""Share of two names that must be the same (Ratcliff and Obershelp)."""
-POSSIBLE = 0.4
-"""Share from which on a column may be a joint's, so that it is asked for."""
-CLEAR = 0.05
-"""By how much the best joint of a column must be better than the second."""
+
+@dataclass(frozen=True)
+class PlaceSettings:
+    """From when on a column's name is that of a joint.
+
+    Attributes
+    ----------
+    alike : float
+        Fraction of two names that must be the same (Ratcliff and Obershelp).
+    possible : float
+        Fraction from which on a column may be a joint's, so that it is asked for.
+    clear : float
+        By how much the best joint of a column must be better than the second.
+    """
+
+    alike: float = 0.6
+    possible: float = 0.4
+    clear: float = 0.05
+
+
+DEFAULTS = PlaceSettings()
 
 
 def match(
-    columns: Sequence[ColumnName], names: Sequence[str]
+    columns: Sequence[ColumnName], names: Sequence[str], settings: PlaceSettings = DEFAULTS
 ) -> tuple[dict[str, ColumnName], list[ColumnName]]:
     """Find which column belongs to which joint or actuator.
 
@@ -27,6 +43,8 @@ def match(
         Of one quantity.
     names : sequence of str
         Joints or actuators, in the model's order.
+    settings : PlaceSettings, optional
+        How alike they must be.
 
     Returns
     -------
@@ -41,7 +59,7 @@ def match(
     if columns and None not in numbers:
         found = _by_number(dict(zip(numbers, columns, strict=True)), names)  # type: ignore[arg-type]
     else:
-        found = _by_words(columns, names, idle)
+        found = _by_words(columns, names, idle, settings)
         pairs = zip(numbers, columns, strict=True)
         numbered = {number: column for number, column in pairs if number is not None}
         if not found and len(numbered) == len(names):
@@ -54,7 +72,7 @@ def match(
 
 
 def _by_words(
-    columns: Sequence[ColumnName], names: Sequence[str], idle: set[str]
+    columns: Sequence[ColumnName], names: Sequence[str], idle: set[str], settings: PlaceSettings
 ) -> dict[str, ColumnName]:
     """By name the column whose words are most alike, where that is clear."""
     scores = np.array([[likeness(column, name, idle) for name in names] for column in columns])
@@ -62,7 +80,7 @@ def _by_words(
     if scores.size:
         rows, places = linear_sum_assignment(-scores)
         for i, j in zip(rows.tolist(), places.tolist(), strict=True):
-            if scores[i, j] >= ALIKE and _is_clear(scores, i, j):
+            if scores[i, j] >= settings.alike and _is_clear(scores, i, j, settings):
                 found[names[j]] = columns[i]
     return found
 
@@ -81,10 +99,10 @@ def _idle_words(columns: Sequence[ColumnName], names: Sequence[str]) -> set[str]
     return common - {word for name in names for word in tokens(name)}
 
 
-def _is_clear(scores: np.ndarray, i: int, j: int) -> bool:
+def _is_clear(scores: np.ndarray, i: int, j: int, settings: PlaceSettings) -> bool:
     """Whether no other name fits a column, and no other column the name, as well."""
     others = [*np.delete(scores[i], j), *np.delete(scores[:, j], i)]
-    return scores[i, j] >= max(others, default=0.0) + CLEAR
+    return scores[i, j] >= max(others, default=0.0) + settings.clear
 
 
 def likeness(column: ColumnName, name: str, idle: set[str] | frozenset[str] = frozenset()) -> float:
@@ -110,7 +128,8 @@ def likeness(column: ColumnName, name: str, idle: set[str] | frozenset[str] = fr
         return 0.0
     if rest == wanted:
         return 1.0
-    one, other = set(rest), set(wanted)
+    one = set(rest)
+    other = set(wanted)
     numbers = {word for word in one if word.isdigit()}
     if numbers and numbers != {word for word in other if word.isdigit()}:
         return 0.0

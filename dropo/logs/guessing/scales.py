@@ -249,7 +249,12 @@ def _turn_by_commands(
 
 
 def velocity_unit(
-    time: Array, positions: Array, velocities: Array, hint: str | None, joint: Joint
+    time: Array,
+    positions: Array,
+    velocities: Array,
+    hint: str | None,
+    joint: Joint,
+    settings: ScaleSettings = DEFAULTS,
 ) -> Scale | None:
     """Find the unit of a velocity from the slope of its position.
 
@@ -265,6 +270,8 @@ def velocity_unit(
         The unit that the column's name says.
     joint : Joint
         A slide or hinge.
+    settings : ScaleSettings, optional
+        What the size of numbers says of their unit.
 
     Returns
     -------
@@ -291,7 +298,7 @@ def velocity_unit(
     if abs(likeness) < 0.5:
         return None
     unit, known = min(options.items(), key=lambda pair: abs(math.log(abs(factor) / pair[1])))
-    if abs(math.log(abs(factor) / known)) > math.log(DEFAULTS.fits):
+    if abs(math.log(abs(factor) / known)) > math.log(settings.fits):
         return None
     why = f"the positions' slope is {factor:.3g} times its numbers"
     return Scale(unit, why, sign=-1 if factor < 0 else 1)
@@ -326,9 +333,10 @@ def command_unit(commands: Array, logged: Array, hint: str | None, position: Sca
 
     best = Scale(position.unit, "the joint follows them", position.offset)
     nearest = distance(best.unit, best.offset)
-    for unit in ("rad", "deg") if si == "rad" else ():
+    for unit in {"rad": ("rad", "deg"), "m": ("m", "cm", "mm")}[si]:
         if unit != position.unit and distance(unit, 0.0) < 0.5 * nearest:
-            best, nearest = Scale(unit, "the joint follows them"), distance(unit, 0.0)
+            best = Scale(unit, "the joint follows them")
+            nearest = distance(unit, 0.0)
     return best
 
 

@@ -8,7 +8,9 @@ from dropo.mjmodel.joints import ModelJoints
 from dropo.mjmodel.names import element_name
 from dropo.mjmodel.sensors import Sensor
 
-GYRO, ACCELEROMETER, ORIENTATION = "gyro", "accelerometer", "framequat"
+GYRO = "gyro"
+ACCELEROMETER = "accelerometer"
+ORIENTATION = "framequat"
 """Kinds of sensors that columns are known as by their words."""
 _GYRO = {"gyro", "gyroscope", "gyr", "gyros", "angvel", "omega"}
 _ACCELEROMETER = {"acc", "accel", "accelerometer", "acceleration", "accelerations"}

@@ -145,12 +145,12 @@ def read_name(column: str, topic: str | None, joints: Iterable[str]) -> ColumnNa
     quantity, kind, used = _quantity([word for word in words if word not in own])
     unit, of_unit = _unit([word for word in words if word not in own])
     if quantity is None:
-        spoken, spoken_kind, _ = _quantity(words)
-        quantity, kind = spoken, spoken_kind
+        quantity, kind, _ = _quantity(words)
     if topic is not None and quantity not in (COMMAND, TIME):
         above, _, _ = _quantity(tokens(topic))
         if above == COMMAND:
-            kind, quantity = quantity, COMMAND
+            kind = quantity
+            quantity = COMMAND
     if unit in ("deg/s", "rad/s", "rpm", "rev/s") and quantity in (None, POSITION):
         quantity = VELOCITY
     rest = [word for word in words if word in own or word not in (*used, *of_unit, *_EMPTY)]

@@ -198,7 +198,13 @@ def _full_type(name: str) -> str:
 
 
 class RosLog(_Bag):
-    """A ROS 1 bag (.bag) or a ROS 2 bag (its folder, or the .db3 file in it)."""
+    """A ROS 1 bag (.bag) or a ROS 2 bag (its folder, or the .db3 file in it).
+
+    Parameters
+    ----------
+    path : str or Path
+        The file or folder.
+    """
 
     expected = "a ROS bag"
 

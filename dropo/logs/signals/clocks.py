@@ -33,26 +33,26 @@ class AlignmentSettings:
     Attributes
     ----------
     rows : int
-        Rows that a delay is estimated from at most.
+        Largest number of rows that a delay is estimated from.
     sensor_rows : int
-        The same where what the model's sensor shows must be computed.
+        Largest number of rows where what the model's sensor shows must be computed.
     minimum_rows : int
-        Rows that it needs.
+        Smallest number of rows that a delay is estimated from.
     largest_offset : float
-        Seconds to which two clocks are together, or else their first rows.
+        Two clocks are within this of each other, or else their first rows are [s].
     certain : float
-        A delay of more standard errors than this is removed ...
+        A delay of more standard errors than this is removed.
     smallest : float
-        ... unless it is less than so many seconds.
+        A delay of less than this is not removed, however certain [s].
     runs : int
-        Runs that a constant delay is estimated from at most.
+        Largest number of runs that a constant delay is estimated from.
     disagreement : float
         Mean square of the runs' deviations, in standard errors, from which they have delays of
         their own.
     smallest_error : float
         Least standard error of a delay [s].
     window : float
-        Seconds over which displacements are compared.
+        Length of the windows over which displacements are compared [s].
     explained : float
         Fraction of a signal's variance without which a delay means nothing.
     """
@@ -276,7 +276,8 @@ def _delay_between(
     reference: "_Curve", signal: "_Curve", run: str, settings: AlignmentSettings
 ) -> SignalDelay | None:
     """How much later a signal is than a reference on the same clock."""
-    time, stamps = reference.time, signal.time
+    time = reference.time
+    stamps = signal.time
     if not len(stamps):
         return None
     # both at the reference's stamps
@@ -377,8 +378,9 @@ class _ShownOnce:
         if key not in self._by_run:
             names = [one.channel.name for one in run.series if one.channel.field == "sensordata"]
             sensors = [self.robot.sensors[name] for name in names]
-            rows, least = self.settings.sensor_rows, self.settings.minimum_rows
-            self._by_run[key] = run, sensors_shown(run, self.robot, sensors, rows, least)
+            rows = self.settings.sensor_rows
+            shown = sensors_shown(run, self.robot, sensors, rows, self.settings.minimum_rows)
+            self._by_run[key] = run, shown
         return self._by_run[key][1]
 
 
@@ -449,7 +451,7 @@ def _estimate_source_clock(
                 reference.values[:, moving],
                 signal.time - start,
                 signal.values[:, moving],
-                most=settings.largest_offset,
+                max_delay=settings.largest_offset,
             )
         except BadArgument:
             continue

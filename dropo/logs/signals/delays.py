@@ -97,7 +97,7 @@ def estimate_delay(
     reference: ArrayLike,
     signal: ArrayLike,
     *,
-    most: float = 0.05,
+    max_delay: float = 0.05,
     settings: DelaySettings = DEFAULTS,
 ) -> Delay:
     """Estimate how much later a signal is than a reference.
@@ -108,8 +108,8 @@ def estimate_delay(
         Strictly increasing stamps of both [s].
     reference, signal : (n,) or (n, p) array
         What both have seen, each in a unit of its own.
-    most : float
-        The delay lies between -most and most [s].
+    max_delay : float
+        The delay lies between -max_delay and max_delay [s].
     settings : DelaySettings, optional
         How it is searched for.
 
@@ -120,8 +120,8 @@ def estimate_delay(
     Raises
     ------
     BadArgument
-        If `most` is not above 0, the arrays have different shapes or are not finite, `time` does
-        not increase, or a column is constant.
+        If `max_delay` is not above 0, the arrays have different shapes or are not finite, `time`
+        does not increase, or a column is constant.
 
     Notes
     -----
@@ -130,7 +130,7 @@ def estimate_delay(
     so that the delay is no multiple of a time step. Standard errors hold for residuals that are
     correlated in time (scores of whole blocks).
     """
-    found = _match((time, reference), (time, signal), most, 0.0, "estimate_delay", settings)
+    found = _match((time, reference), (time, signal), max_delay, 0.0, "estimate_delay", settings)
     return Delay(float(found.theta[0]), float(found.errors[0]), found.explained)
 
 
@@ -140,7 +140,7 @@ def estimate_clock(
     signal_time: ArrayLike,
     signal: ArrayLike,
     *,
-    most: float = 0.05,
+    max_delay: float = 0.05,
     skew: float = 0.02,
     settings: DelaySettings = DEFAULTS,
 ) -> Clock:
@@ -156,7 +156,7 @@ def estimate_clock(
         Stamps of the signal [s], by its own clock.
     signal : (m,) or (m, p) array
         What it has seen.
-    most : float
+    max_delay : float
         Both clocks are within so many seconds of each other at the reference's first stamp.
     skew : float
         Their rates differ by up to this fraction.
@@ -170,13 +170,13 @@ def estimate_clock(
     Raises
     ------
     BadArgument
-        If `most` or `skew` is not above 0, the arrays have different shapes or are not finite,
+        If `max_delay` or `skew` is not above 0, the arrays have different shapes or are not finite,
         stamps do not increase, or a column is constant.
     """
     caller = "estimate_clock"
     require(skew > 0, "skew", "above 0", skew, caller)
     one = (reference_time, reference)
-    found = _match(one, (signal_time, signal), most, skew, caller, settings)
+    found = _match(one, (signal_time, signal), max_delay, skew, caller, settings)
     seconds, rate = found.theta.tolist()
     se, skew_se = found.errors.tolist()
     return Clock(seconds, se, rate, skew_se, found.explained, found.origin)
@@ -195,13 +195,13 @@ class _Match:
 def _match(
     reference: tuple[ArrayLike, ArrayLike],
     signal: tuple[ArrayLike, ArrayLike],
-    most: float,
+    max_delay: float,
     skew: float,
     caller: str,
     settings: DelaySettings,
 ) -> _Match:
     """Shift the reference, each with its stamps, onto the signal; `skew` 0 keeps the rate."""
-    require(most > 0, "most", "above 0", most, caller)
+    require(max_delay > 0, "max_delay", "above 0", max_delay, caller)
     time, recorded = _as_columns("reference", *reference, caller)
     stamps, measured = _as_columns("signal", *signal, caller)
     rule = f"of {recorded.shape[1]} columns, as the reference"
@@ -226,7 +226,7 @@ def _match(
         return residuals(theta, slice(None)).ravel()
 
     # the grid, fine enough that the reference changes little from point to point
-    axes = [np.arange(-most, most + 1e-12, min(width / 2, most / 4))]
+    axes = [np.arange(-max_delay, max_delay + 1e-12, min(width / 2, max_delay / 4))]
     if skew:
         step = min(width / 2 / duration, skew / 4)
         axes.append(np.arange(-skew, skew * (1 + 1e-12), step))

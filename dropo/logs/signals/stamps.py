@@ -21,8 +21,10 @@ class StampSettings:
         A step of more than this many median steps is a gap: what happened in it is not known.
     jitter : float
         Steps that vary by more than this fraction of the median (rms) are reported.
-    lost, many_lost : float
-        From these fractions of missing rows on, packets were lost: a warning, and an error.
+    lost : float
+        Fraction of missing rows from which on lost packets are a warning.
+    many_lost : float
+        Fraction of missing rows from which on lost packets are an error.
     uneven : float
         Values that are within so many usual steps of even ones have a rate of their own.
     backward : float

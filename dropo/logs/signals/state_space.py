@@ -26,13 +26,13 @@ class SmootherSettings:
     Attributes
     ----------
     passes : int
-        Passes of the smoother; each is linearized at the states of the one before.
+        Number of passes of the smoother; each is linearized at the states of the one before.
     learning_rows : int
-        Transitions, from the first on, from which the noise is learned.
+        Number of transitions, from the first on, from which the noise is learned.
     learning_rounds : int
-        Rounds of learning; each is linearized anew.
+        Number of times that the noise is learned; each is linearized anew.
     em_steps : int
-        Steps of expectation-maximization in each round.
+        Number of steps of expectation-maximization each time.
     process_factors : tuple of float
         Factors on the learned process noise that are compared after each round, largest first:
         expectation-maximization is slow to take it down.
@@ -41,11 +41,14 @@ class SmootherSettings:
         noise that is too small makes the errors of the states look small.
     initial_variance : float
         First guess of both noises, as a fraction of each signal's variance.
-    minimum_noise, minimum_process : float
-        Lower bounds of the variances of measurement and process noise, as fractions of each
-        signal's variance.
-    minimum_step, maximum_step : float
-        Bounds of the half widths of differences, as fractions of each signal's standard deviation.
+    minimum_noise : float
+        Lower bound of the measurement noise's variance, as a fraction of each signal's variance.
+    minimum_process : float
+        Lower bound of the process noise's variance, as a fraction of each signal's variance.
+    minimum_step : float
+        Smallest half width of differences, as a fraction of each signal's standard deviation.
+    maximum_step : float
+        Largest half width of differences, as a fraction of each signal's standard deviation.
     unmeasured_start_sd : float
         Standard deviation of a start that was not measured, in the signal's standard deviations.
     """
@@ -203,11 +206,37 @@ class StateSpaceModel:
         return np.clip(wanted, minimum, maximum)
 
     def first_state(self, measured: Array, at: Array) -> Array:
-        """Return a trajectory's first state (p,): as measured, or else where it is linearized."""
+        """Give the first state of a trajectory.
+
+        Parameters
+        ----------
+        measured : (p,) array
+            The first measured state.
+        at : (p,) array
+            Where the model is linearized.
+
+        Returns
+        -------
+        (p,) array
+            As measured, or where a signal is not measured as in `at`.
+        """
         return np.where(self.measured, measured, at)
 
     def first_covariance(self, states: Array, noise: Array) -> Array:
-        """Return the covariance (p, p) of a first state: wide where it was not measured."""
+        """Give the covariance of a trajectory's first state.
+
+        Parameters
+        ----------
+        states : (M, p) array
+            States of all trajectories, whose spread stands for what is not measured.
+        noise : (p,) array
+            Variances of the measured signals' noise.
+
+        Returns
+        -------
+        (p, p) array
+            Diagonal, and wide where a signal is not measured.
+        """
         unmeasured_variance = (self.settings.unmeasured_start_sd * _signal_sd(states)) ** 2
         return np.diag(np.where(self.measured, noise, unmeasured_variance))
 

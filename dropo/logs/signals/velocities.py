@@ -32,24 +32,29 @@ class VelocitySettings:
 
     Attributes
     ----------
-    lowest, highest : float
-        Bounds of log(q / r), in steps of the median time.
+    lowest : float
+        Lower bound of log(q / r), in steps of the median time.
+    highest : float
+        Upper bound of log(q / r), in steps of the median time.
     grid_step : float
-        Of the first search between them.
+        Step of log(q / r) in the first search between these bounds.
     tolerance : float
-        Of log(q / r) in the search that follows.
-    blocks, block_rows : int
-        A long log is fitted on so many pieces of so many rows.
+        Tolerance of log(q / r) in the search that follows.
+    blocks : int
+        Largest number of pieces on which a long log is fitted.
+    block_rows : int
+        Number of rows of such a piece.
     jump_score : float
-        A jump of the velocity has a score above this, in standard deviations of all scores, ...
+        Score that a jump of the velocity must have, in standard deviations of all scores.
     jump_contrast : float
-        ... more than this times those around it, ...
+        Multiple of the scores around it that a jump's score must be.
     jump_sharpness : float
-        ... and such that the acceleration's score is below this times the velocity's.
+        Multiple of the velocity's score that the acceleration's score must be below at a jump.
     jump_rounds : int
-        Rounds of searching for jumps.
+        Number of times that jumps are searched for.
     probes : int
-        Columns of random signs that show how much noise passes the smoother (Hutchinson 1990).
+        Number of columns of random signs that show how much noise passes the smoother (Hutchinson
+        1990).
     """
 
     lowest: float = -30.0

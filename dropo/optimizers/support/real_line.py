@@ -43,7 +43,18 @@ class RealLine:
         self.scale = np.minimum(spread / _normal(self.origin), 1.0)
 
     def unit(self, w: Array) -> Array:
-        """Returns the points of the unit box (..., d) at w (..., d)."""
+        """Return points of the unit box.
+
+        Parameters
+        ----------
+        w : (..., d) array
+            Points on the real line.
+
+        Returns
+        -------
+        (..., d) array
+            In (0, 1).
+        """
         return np.asarray(ndtr(self.origin + self.scale * w))
 
     def head(self, rng: np.random.Generator, count: int) -> Array:

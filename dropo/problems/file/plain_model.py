@@ -129,7 +129,20 @@ def write_plain_model(simulator: MujocoSimulator, values: Array, folder: Path) -
 
 
 def active_effects(simulator: MujocoSimulator, values: Array) -> ActiveEffects:
-    """List the effects that are present under parameters (d,), fixed ones first."""
+    """List the effects that are present under some parameters.
+
+    Parameters
+    ----------
+    simulator : MujocoSimulator
+        The model, its d parameters and effects.
+    values : (d,) array
+        The declared parameters, then the magnitudes of the effects that are fitted.
+
+    Returns
+    -------
+    list of (EffectInstance, (q,) array)
+        Fixed effects first, each with its magnitudes.
+    """
     free = magnitudes_of(simulator.effects, values[len(simulator.bindings) :])
     return [*simulator.fixed, *free]
 

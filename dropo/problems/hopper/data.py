@@ -30,8 +30,8 @@ UPRIGHT = np.array([0, 1.25, *[0] * 10])  # qpos, qvel
 
 
 @dataclass(frozen=True, eq=False)
-class LinearPolicy:
-    """A linear policy of normalized observations, with noise on its actions.
+class HopperPolicy:
+    """A linear policy of the hopper, of normalized observations, with noise on its actions.
 
     Attributes
     ----------
@@ -73,8 +73,19 @@ class LinearPolicy:
 
 
 @cache
-def hopper_policy() -> LinearPolicy:
-    """The stored hopping policy, found by augmented random search (`hopper_policy.json`)."""
+def hopper_policy() -> HopperPolicy:
+    """Read the stored hopping policy, found by augmented random search (`hopper_policy.json`).
+
+    Returns
+    -------
+    HopperPolicy
+        The policy, with the noise under which it was found.
+
+    Raises
+    ------
+    BadArgument
+        If the file's numbers have other shapes, or are not finite.
+    """
     text = (files("dropo.problems.hopper") / "hopper_policy.json").read_text()
     stored: dict[str, Any] = json.loads(text)
     shapes = {"weights": (3, 11), "mean": (11,), "deviation": (11,)}
@@ -82,27 +93,46 @@ def hopper_policy() -> LinearPolicy:
         name: float_array(name, stored[name], shape, "hopper_policy.json")
         for name, shape in shapes.items()
     }
-    return LinearPolicy(**arrays, action_noise=float(stored["action_noise"]))
+    return HopperPolicy(**arrays, action_noise=float(stored["action_noise"]))
 
 
 def observe(states: Array) -> Array:
-    """Gymnasium's observations (..., 11), without clipping, of states (..., 12).
+    """Give Gymnasium's observations, without clipping.
 
     They are all components of the states but the first, the distance travelled.
+
+    Parameters
+    ----------
+    states : (..., 12) array
+        States, `qpos` then `qvel`.
+
+    Returns
+    -------
+    (..., 11) array
+        Observations, a view of the states.
     """
     return states[..., 1:]
 
 
 def healthy(states: Array) -> NDArray[np.bool_]:
-    """Which of the states (m, 12) have not fallen, (m,) bool.
+    """Tell which states have not fallen.
 
     Gymnasium's rule: the torso is higher than 0.7 m and tilted by less than 0.2 rad.
+
+    Parameters
+    ----------
+    states : (m, 12) array
+        States, `qpos` then `qvel`.
+
+    Returns
+    -------
+    (m,) bool array
     """
     return (states[:, 1] > 0.7) & (np.abs(states[:, 2]) < 0.2)
 
 
 def start_states(rng: Generator, n: int) -> Array:
-    """Draws start states: upright at rest, within Gymnasium's noise, nothing travelled yet.
+    """Draw start states: upright at rest, within Gymnasium's noise, nothing travelled yet.
 
     Parameters
     ----------
@@ -129,10 +159,10 @@ def simulate(
     masses: Masses | ArrayLike | None = None,
     block: int | None = None,
     noise_variance: float = 0.0,
-    policy: LinearPolicy | None = None,
+    policy: HopperPolicy | None = None,
     threads: int = 1,
 ) -> tuple[Trajectories, Array]:
-    """Simulates transitions of the hopper under a policy.
+    """Simulate transitions of the hopper under a policy.
 
     A trajectory ends where the hopper falls; others are started until there are
     `trajectories * transitions_per_trajectory` transitions. As in the thesis, masses change
@@ -156,7 +186,7 @@ def simulate(
     noise_variance : float
         Variance of the Gaussian noise on `next_observations`, and on them only (as in the thesis'
         noisy set), in each signal's unit squared.
-    policy : LinearPolicy or None
+    policy : HopperPolicy or None
         What commands the hopper; None for the stored policy.
     threads : int
         Threads of the simulation; the numbers do not depend on them.
@@ -201,7 +231,7 @@ class _Hopper:
     """The model, its policy, a sampler of masses, and the control steps for which masses hold."""
 
     model: mujoco.MjModel
-    policy: LinearPolicy
+    policy: HopperPolicy
     masses: Masses
     hold: int
     threads: int

@@ -23,6 +23,11 @@ def hopper_simulator(threads: int = 0) -> MujocoSimulator:
     ----------
     threads : int
         Threads of the simulator; 0 for all cores.
+
+    Returns
+    -------
+    MujocoSimulator
+        Whose observations are those of Gymnasium's hopper, without clipping.
     """
     masses = []
     for body in BODIES:
@@ -86,6 +91,11 @@ def hopper(threads: int = 0) -> Problem:
     ----------
     threads : int
         Threads of the simulator; 0 for all cores.
+
+    Returns
+    -------
+    Problem
+        With 1000 transitions.
     """
     data, _ = simulate(500, 2, rng=np.random.default_rng(61))
     return hopper_problem("hopper", data, 1e-8, threads)
@@ -98,6 +108,11 @@ def hopper_noisy(threads: int = 0) -> Problem:
     ----------
     threads : int
         Threads of the simulator; 0 for all cores.
+
+    Returns
+    -------
+    Problem
+        With 1000 transitions.
     """
     data, _ = simulate(500, 2, rng=np.random.default_rng(61), noise_variance=NOISE)
     return hopper_problem("hopper-noisy", data, NOISE, threads)

@@ -85,6 +85,11 @@ def hopper_published(threads: int = 0) -> Problem:
     threads : int
         Threads of the simulator; 0 for all cores.
 
+    Returns
+    -------
+    Problem
+        With four masses to fit.
+
     Raises
     ------
     BadFile
@@ -103,6 +108,11 @@ def hopper_published_noisy(threads: int = 0) -> Problem:
     ----------
     threads : int
         Threads of the simulator; 0 for all cores.
+
+    Returns
+    -------
+    Problem
+        With four masses to fit.
 
     Raises
     ------

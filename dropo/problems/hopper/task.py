@@ -53,10 +53,32 @@ def forward(before: Array, actions: Array, after: Array) -> Array:
 
 
 def upright(states: Array) -> NDArray[np.bool_]:
-    """Which of the states (m, 12) have not fallen by Gymnasium's rule, (m,) bool."""
+    """Tell which states have not fallen by Gymnasium's rule.
+
+    Parameters
+    ----------
+    states : (m, 12) array
+        States, `qpos` then `qvel`.
+
+    Returns
+    -------
+    (m,) bool array
+        Whether the torso is high and upright enough, and no component is beyond `FARTHEST`.
+    """
     return healthy(states) & (np.abs(states[:, 2:]) < FARTHEST).all(axis=1)
 
 
 def shown(rows: Array) -> Array:
-    """Observation rows (m, 11) with their velocities clipped as Gymnasium clips them, (m, 11)."""
+    """Clip the velocities of observations as Gymnasium clips them.
+
+    Parameters
+    ----------
+    rows : (m, 11) array
+        Observations: five positions, then six velocities.
+
+    Returns
+    -------
+    (m, 11) array
+        The same, with velocities within -`FASTEST` and `FASTEST`.
+    """
     return np.concatenate([rows[:, :5], np.clip(rows[:, 5:], -FASTEST, FASTEST)], axis=1)

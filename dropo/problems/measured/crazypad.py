@@ -83,13 +83,18 @@ MODEL = """
 def crazypad(threads: int = 0) -> Problem:
     """Flights of a quadrotor, normal ones and ones with faults, which a diagnosis is to name.
 
-    Nothing is to be fitted. `dropo diagnose crazypad` compares every flight with the normal ones
-    (a normal one with the other normal ones), and says which rotor gives less, or carries a weight.
+    Nothing is to be fitted. `dropo diagnose crazypad` compares every flight with the normal ones (a
+    normal one with the other normal ones), and says which rotor gives less, or carries a weight.
 
     Parameters
     ----------
     threads : int
         Threads of the simulator; 0 for all cores.
+
+    Returns
+    -------
+    Problem
+        With the normal flights as its reference.
 
     Raises
     ------
@@ -115,6 +120,11 @@ def crazypad_problem(runs: Runs, threads: int = 0) -> Problem:
         With `time`, `pos` and either `motor` or `cmd`.
     threads : int
         Threads of the simulator; 0 for all cores.
+
+    Returns
+    -------
+    Problem
+        With the stretches in which the drone flies; each flight is a group.
     """
     simulator = MujocoSimulator(
         mujoco.MjSpec.from_string(MODEL),
@@ -191,6 +201,11 @@ def commanded(run: Channels) -> Array:
     run : mapping
         `motor`, or the controller's `cmd`: thrust, roll, pitch, yaw, mixed as the firmware does
         (crazyflie-firmware, power_distribution).
+
+    Returns
+    -------
+    (n, 4) array
+        Between 0 and 1 where they are mixed.
     """
     if "motor" in run:
         return np.asarray(run["motor"], dtype=float) / FULL_COMMAND
@@ -216,6 +231,11 @@ def yaw(run: Channels) -> Array:
     ----------
     run : mapping
         `time`, and perhaps `yaw` or `gyro` [rad/s].
+
+    Returns
+    -------
+    (n,) array
+        The heading [rad], without jumps.
     """
     time = np.asarray(run["time"], dtype=float)
     if "yaw" in run:

@@ -40,6 +40,11 @@ def cube_toss(threads: int = 0) -> Problem:
     threads : int
         Threads of the simulator; 0 for all cores.
 
+    Returns
+    -------
+    Problem
+        With the first tosses; all of them are `everything`.
+
     Raises
     ------
     BadFile
@@ -65,6 +70,10 @@ def cube_spec(path: Path) -> mujoco.MjSpec:
     ----------
     path : Path
         Path of the MJCF file.
+
+    Returns
+    -------
+    mujoco.MjSpec
     """
     spec = mujoco.MjSpec.from_file(str(path))
     spec.geom("box").priority = 1

@@ -54,6 +54,10 @@ def double_pendulum(threads: int = 0, input: str = "commanded") -> Problem:
     input : str
         What is taken as the command: "commanded" or "current", the torque by the motor's current.
 
+    Returns
+    -------
+    Problem
+
     Raises
     ------
     BadFile
@@ -71,6 +75,10 @@ def double_pendulum_c0(threads: int = 0, input: str = "commanded") -> Problem:
         Threads of the simulator; 0 for all cores.
     input : str
         What is taken as the command: "commanded" or "current", the torque by the motor's current.
+
+    Returns
+    -------
+    Problem
 
     Raises
     ------
@@ -99,6 +107,10 @@ def double_pendulum_spec(path: Path, lengths: tuple[float, float]) -> mujoco.MjS
         Path of the MJCF file.
     lengths : (float, float)
         Lengths of the upper and the lower link [m]; a link's centre of mass is at its end.
+
+    Returns
+    -------
+    mujoco.MjSpec
     """
     spec = mujoco.MjSpec.from_file(str(path))
     for name, length in zip(("upper", "lower"), lengths, strict=True):

@@ -67,7 +67,7 @@ def missing(name: str, source: str) -> BadFile:
 
 
 def fetch_arrays(base_url: str, files: dict[str, tuple[str, str]]) -> dict[str, Array]:
-    """Reads arrays from public .npy files, which are kept in the user's cache.
+    """Read arrays from public .npy files, which are kept in the user's cache.
 
     Parameters
     ----------

@@ -10,7 +10,7 @@ from scipy.signal import savgol_filter
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.validation import Array
-from dropo.logs.grids import ON_GRID, held_means
+from dropo.logs.grids import DEFAULTS, held_means
 from dropo.logs.readers.archives import RunsLog
 from dropo.logs.signals.resampling import resample
 from dropo.logs.signals.stamps import increasing
@@ -62,13 +62,24 @@ class Runs:
     channels: tuple[Channels, ...]
 
     def named(self, beginning: str) -> "Runs":
-        """The runs whose names start with `beginning`."""
+        """Select the runs whose names begin alike.
+
+        Parameters
+        ----------
+        beginning : str
+            What the names begin with.
+
+        Returns
+        -------
+        Runs
+            In the same order; empty where there are none.
+        """
         chosen = [i for i, name in enumerate(self.names) if name.startswith(beginning)]
         return Runs(tuple(self.names[i] for i in chosen), tuple(self.channels[i] for i in chosen))
 
 
 def find_runs(folder: str, model: str, source: str) -> tuple[Runs, Path]:
-    """Reads the runs of a machine among the external data.
+    """Read the runs of a machine among the external data.
 
     Parameters
     ----------
@@ -135,8 +146,9 @@ def gridded(
     stamps = np.asarray(run["time"], dtype=float)
     keep = increasing(stamps)
     stamps = stamps[keep] - stamps[0]
-    time = np.minimum(step * np.arange(int(stamps[-1] / step + ON_GRID) + 1), stamps[-1])
-    is_on_grid = len(time) == len(stamps) and bool(np.abs(time - stamps).max() < ON_GRID * step)
+    near = DEFAULTS.on_grid
+    time = np.minimum(step * np.arange(int(stamps[-1] / step + near) + 1), stamps[-1])
+    is_on_grid = len(time) == len(stamps) and bool(np.abs(time - stamps).max() < near * step)
 
     def resampled(name: str) -> Array:
         values = _columns(run[name])[keep]

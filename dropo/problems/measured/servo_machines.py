@@ -45,6 +45,10 @@ def so101(threads: int = 0) -> Problem:
     threads : int
         Threads of the simulator; 0 for all cores.
 
+    Returns
+    -------
+    Problem
+
     Raises
     ------
     BadFile
@@ -60,12 +64,17 @@ def so101(threads: int = 0) -> Problem:
 def go2(threads: int = 0) -> Problem:
     """Damping, dry friction and rotor inertia of a Go2's twelve joints, its trunk on a stand.
 
-    One run of 15.5 s under commanded angles; the last 5 s are held out. Velocities are estimated.
+    One run of 15.5 s under commanded angles; the last 5 s are held out.
+    Velocities are estimated.
 
     Parameters
     ----------
     threads : int
         Threads of the simulator; 0 for all cores.
+
+    Returns
+    -------
+    Problem
 
     Raises
     ------

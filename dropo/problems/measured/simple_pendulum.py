@@ -38,6 +38,10 @@ def simple_pendulum(threads: int = 0, input: str = "current") -> Problem:
     input : str
         What is taken as the command: "commanded" or "current", the torque by the motor's current.
 
+    Returns
+    -------
+    Problem
+
     Raises
     ------
     BadFile

@@ -24,6 +24,10 @@ def swinging_pendulum(threads: int = 0) -> Problem:
     threads : int
         Threads of the simulator; 0 for all cores.
 
+    Returns
+    -------
+    Problem
+
     Raises
     ------
     BadFile
@@ -39,6 +43,10 @@ def swinging_pendulum_double(threads: int = 0) -> Problem:
     ----------
     threads : int
         Threads of the simulator; 0 for all cores.
+
+    Returns
+    -------
+    Problem
 
     Raises
     ------

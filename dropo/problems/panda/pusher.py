@@ -141,7 +141,7 @@ class Arms:
         self._speeds = np.zeros((count, 7))
 
     def lead(self, ids: Ints, velocities: Array) -> None:
-        """Moves arms on by a control step, towards velocities of their pins.
+        """Move arms on by a control step, towards velocities of their pins.
 
         Parameters
         ----------
@@ -228,7 +228,18 @@ def drive(
 
 
 def boxes_of(states: Array) -> Array:
-    """X [m], y [m] and turn [rad] (..., 3) of the boxes in states (..., nq + nv)."""
+    """Read where the boxes are.
+
+    Parameters
+    ----------
+    states : (..., nq + nv) array
+        States, `qpos` then `qvel`.
+
+    Returns
+    -------
+    (..., 3) array
+        x [m], y [m] and turn about the vertical axis [rad].
+    """
     w, i, j, k = np.moveaxis(states[..., BOX + 3 : BOX + 7], -1, 0)
     turn = np.arctan2(2 * (w * k + i * j), 1 - 2 * (j * j + k * k))
     return np.concatenate([states[..., BOX : BOX + 2], turn[..., None]], axis=-1)

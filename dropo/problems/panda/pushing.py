@@ -70,6 +70,10 @@ def pushing_simulator(threads: int = 0) -> MujocoSimulator:
     ----------
     threads : int
         Threads of the simulator; 0 for all cores.
+
+    Returns
+    -------
+    MujocoSimulator
     """
     parameters = [
         FieldParameter("box_mass", 0.08, 2.0, "kg", field="body_mass", element="box"),
@@ -133,6 +137,11 @@ def pushing(threads: int = 0, seed: int = 0) -> Problem:
         Threads of the simulator; 0 for all cores.
     seed : int
         Seed of the data.
+
+    Returns
+    -------
+    Problem
+        With its truth.
     """
     simulator = pushing_simulator(threads)
     box = simulator.layout.places_of(["qpos.box", "qvel.box"], simulator.model)

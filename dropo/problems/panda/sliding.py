@@ -73,6 +73,10 @@ def sliding_simulator(threads: int = 0) -> MujocoSimulator:
     ----------
     threads : int
         Threads of the simulator; 0 for all cores.
+
+    Returns
+    -------
+    MujocoSimulator
     """
     contact_time = FieldParameter(
         "contact_time", 0.004, 0.02, "s", lower=0.004, field="pair_solref", element="hit", index=0
@@ -262,6 +266,11 @@ def sliding(threads: int = 0, seed: int = 0) -> Problem:
         Threads of the simulator; 0 for all cores.
     seed : int
         Seed of the data.
+
+    Returns
+    -------
+    Problem
+        With its truth.
     """
     return Problem(
         "sliding",

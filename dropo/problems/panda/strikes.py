@@ -27,11 +27,15 @@ class StrikeSettings:
         Speeds of the blade where it meets the puck [m/s], at latents of -2 and 2.
     direction : (float, float)
         Directions from +y [rad], at latents of -2 and 2.
-    run_up, follow, brake : float
-        Distances that the blade moves [m]: until it meets the puck, on at the same speed, to rest.
+    run_up : float
+        Distance that the blade moves until it meets the puck [m].
+    follow : float
+        Distance that it moves on at the same speed [m].
+    brake : float
+        Distance in which it comes to rest [m].
     knots : int
-        Times at which poses are solved; 17 as in the thesis, whose actions are 17 commands of 7
-        joints.
+        Number of times at which poses are solved; 17 as in the thesis, whose actions are 17
+        commands of 7 joints.
     """
 
     speed: tuple[float, float] = (0.4, 1.04)

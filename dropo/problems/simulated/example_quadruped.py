@@ -241,7 +241,9 @@ def walked(rng: np.random.Generator, walk: Walk = WALK, change: Change | None = 
             break
     if count < walk.shortest * walk.rate:
         raise SimulationFailed(f"the machine falls {time[t]:.3g} s after its start")
-    time, states, targets = time[:count], states[:count], targets[:count]
+    time = time[:count]
+    states = states[:count]
+    targets = targets[:count]
     pose = states[:, :7].copy()
     pose[:, :3] += walk.position * noise_rng.standard_normal((count, 3))
     turned = walk.rotation * noise_rng.standard_normal((count, 3))

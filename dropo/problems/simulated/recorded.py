@@ -13,6 +13,10 @@ def half_cheetah(threads: int = 0) -> Problem:
     ----------
     threads : int
         Threads of the simulator; 0 for all cores.
+
+    Returns
+    -------
+    Problem
     """
     return _recorded("half-cheetah", threads)
 
@@ -24,6 +28,10 @@ def walker2d(threads: int = 0) -> Problem:
     ----------
     threads : int
         Threads of the simulator; 0 for all cores.
+
+    Returns
+    -------
+    Problem
     """
     return _recorded("walker2d", threads)
 
@@ -35,6 +43,10 @@ def torque_arm(threads: int = 0) -> Problem:
     ----------
     threads : int
         Threads of the simulator; 0 for all cores.
+
+    Returns
+    -------
+    Problem
     """
     return _recorded("torque-arm", threads)
 
@@ -46,6 +58,10 @@ def position_arm(threads: int = 0) -> Problem:
     ----------
     threads : int
         Threads of the simulator; 0 for all cores.
+
+    Returns
+    -------
+    Problem
     """
     return _recorded("position-arm", threads)
 

@@ -31,7 +31,7 @@ def record(
     rng: np.random.Generator,
     memory: float = 0.0,
 ) -> Trajectories:
-    """Records closed-loop trajectories of a simulated robot.
+    """Record closed-loop trajectories of a simulated robot.
 
     The controller acts on the noisy measurements, as on a real robot. Delayed sensors show the
     start until something else arrives.

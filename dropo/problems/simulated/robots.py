@@ -119,7 +119,7 @@ class SimulatedRobot:
         rng: np.random.Generator,
         values: Array | None = None,
     ) -> Trajectories:
-        """Records closed-loop data of the robot.
+        """Record closed-loop data of the robot.
 
         Parameters
         ----------
@@ -181,7 +181,7 @@ class Feedback:
 def simulated_robot(
     name: str, parameters: Sequence[FieldParameter] = (), threads: int = 1
 ) -> SimulatedRobot:
-    """Builds a robot by its name.
+    """Build a robot by its name.
 
     Parameters
     ----------
@@ -191,6 +191,15 @@ def simulated_robot(
         Parameters to declare; the hopper always declares its four masses instead.
     threads : int
         Threads of the simulator; 0 for all cores.
+
+    Returns
+    -------
+    SimulatedRobot
+
+    Raises
+    ------
+    KeyError
+        If there is no such robot.
     """
     return ROBOTS[name](parameters, threads)
 

@@ -21,6 +21,10 @@ def slide(threads: int = 0) -> Problem:
     ----------
     threads : int
         Not used; every problem takes it.
+
+    Returns
+    -------
+    Problem
     """
     return slide_data(50)[0]
 

@@ -24,11 +24,14 @@ for (const figure of document.querySelectorAll("figure.run")) {
   const ticks = (low, high, most) => {
     const raw = (high - low) / most, power = 10 ** Math.floor(Math.log10(raw));
     const each = power * ([1, 2, 5, 10].find((n) => n * power >= raw) ?? 10), found = [];
-    for (let k = Math.ceil(low / each); k * each <= high; k++) found.push(+(k * each).toPrecision(12));
+    for (let k = Math.ceil(low / each); k * each <= high; k++) {
+      found.push(+(k * each).toPrecision(12));
+    }
     return found;
   };
 
-  // Draws lines, each as {at: i -> value, color, dash, dots}, with axes; the ends of the values are theirs.
+  // Draws lines, each as {at: i -> value, color, dash, dots}, with axes; the ends of the values are
+  // theirs.
   const draw = (canvas, lines, title, withTime) => {
     const ratio = devicePixelRatio || 1, width = canvas.clientWidth, height = canvas.clientHeight;
     canvas.width = width * ratio;
@@ -55,7 +58,9 @@ for (const figure of document.querySelectorAll("figure.run")) {
     pen.globalAlpha = 0.35;
     for (const [from, to] of about.heldOut) {
       const begin = Math.max(from, first), end = Math.min(to, last);
-      if (end > begin) pen.fillRect(x(begin - 0.5), top, x(end - 0.5) - x(begin - 0.5), bottom - top);
+      if (end > begin) {
+        pen.fillRect(x(begin - 0.5), top, x(end - 0.5) - x(begin - 0.5), bottom - top);
+      }
     }
     pen.globalAlpha = 1;
     pen.strokeStyle = color("line");
@@ -135,14 +140,16 @@ for (const figure of document.querySelectorAll("figure.run")) {
     const kinds = both ? [["before", true], ["after", false]] : [["after", false]];
     const errors = kinds.map(([name, dash], k) => ({ at: series[k + 1], color: name, dash }));
     const lines = errors.map((one) => ({ ...one, at: (i) => series[0](i) - one.at(i) }));
-    draw(motion, [...lines, { at: series[0], color: "ink", dots: true }], titled(signal.name), false);
+    const measured = { at: series[0], color: "ink", dots: true };
+    draw(motion, [...lines, measured], titled(signal.name), false);
     draw(missed, errors, titled("measured less predicted"), true);
     where.style.left = (100 * first) / steps + "%";
     where.style.width = Math.max(1, (100 * (last - first)) / steps) + "%";
     if (hover === null) {
       reading.textContent = `${short(first * step)} to ${short(last * step)} ${unit}`;
     } else {
-      const parts = [`at ${short((hover + 1) * step)} ${unit}: measured ${short(series[0](hover))}`];
+      const time = short((hover + 1) * step);
+      const parts = [`at ${time} ${unit}: measured ${short(series[0](hover))}`];
       kinds.forEach(([name], k) => {
         const value = series[0](hover) - series[k + 1](hover);
         parts.push(`${both ? name : "predicted"} ${isNaN(value) ? "failed" : short(value)}`);
@@ -151,7 +158,8 @@ for (const figure of document.querySelectorAll("figure.run")) {
     }
   };
   const look = (from, to) => {
-    const least = Math.min(steps, 10), size = Math.min(steps, Math.max(least, Math.round(to - from)));
+    const least = Math.min(steps, 10);
+    const size = Math.min(steps, Math.max(least, Math.round(to - from)));
     first = Math.max(0, Math.min(steps - size, Math.round((from + to - size) / 2)));
     last = first + size;
     show();

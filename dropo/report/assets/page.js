@@ -1,4 +1,5 @@
-// A click on a table's head sorts by that column: numbers by the value that the cell carries, else words.
+// A click on a table's head sorts by that column: numbers by the value that the cell carries, else
+// words.
 for (const button of document.querySelectorAll("th button")) {
   button.addEventListener("click", () => {
     const head = button.closest("th"), body = head.closest("table").tBodies[0];

@@ -1,4 +1,6 @@
 """The pages, one file for each kind of folder.
 
-A page is a function from a `Result` to the HTML file's text, and a line in `PAGES` of `build`.
+They may import `core`, `plots`, `diagnosis.findings`, `diagnosis.parts` and the other parts of
+`report`. To add one, write a function from a `Result` to the HTML file's text, and add a line to
+`PAGES` of `build`.
 """

@@ -86,7 +86,8 @@ def scene_of(result: Result) -> Scene | None:
         camera, _ = camera_of(poses.places, poses.sizes, WIDTH / HEIGHT)
         areas = [_area(camera, shapes(model, posed(model, own))) for own in poses.measured]
         best = int(np.argmax(areas))
-        qpos, places = poses.measured[best], poses.places[best : best + 1]
+        qpos = poses.measured[best]
+        places = poses.places[best : best + 1]
         alone, _ = camera_of(places, sizes, WIDTH / HEIGHT)
         seen = Camera(alone.lookat, alone.distance, camera.azimuth, camera.elevation)
         return Scene(simulator, qpos, seen)
@@ -137,15 +138,15 @@ def still(scene: Scene) -> bytes:
 
     from matplotlib.image import imsave
 
-    from dropo.report.robot.stage import Stage
+    from dropo.report.robot.renderer import RobotRenderer
 
     model = scene.simulator.model
-    stage = Stage(model, WIDTH, HEIGHT)
+    renderer = RobotRenderer(model, WIDTH, HEIGHT)
     try:
-        stage.look(scene.camera, scene.camera.lookat)
-        image = stage.frame(scene.qpos, plain=False)
+        renderer.aim(scene.camera, scene.camera.lookat)
+        image = renderer.frame(scene.qpos, plain=False)
     finally:
-        stage.close()
+        renderer.close()
     file = io.BytesIO()
     imsave(file, image, format="png")
     return file.getvalue()
@@ -235,7 +236,8 @@ def _lines(camera: Camera, parts: list[Shape]) -> str:
         if part.ground and (np.ptp(places, axis=0) > 4 * WIDTH).any():
             continue  # a floor, or a wall around it
         if len(places) == 1:
-            (x, y), r = places[0], max(2.0, width / 2)
+            x, y = places[0]
+            r = max(2.0, width / 2)
             element = f'<circle class="{kind}" cx="{x:.1f}" cy="{y:.1f}" r="{r:.1f}"/>'
         elif len(places) == 2:
             ends = " ".join(f"{x:.1f},{y:.1f}" for x, y in places)
@@ -285,9 +287,11 @@ def _filled(camera: Camera, parts: list[Shape]) -> Array:
 
 def _free(at: Array, centre: Array, others: list[Array], solid: Array) -> Array:
     """Where a number stands: beside its place, in the picture, off the robot and the others."""
-    low, high = np.full(2, BADGE + 3.0), np.array([WIDTH, HEIGHT]) - BADGE - 3.0
+    low = np.full(2, BADGE + 3.0)
+    high = np.array([WIDTH, HEIGHT]) - BADGE - 3.0
     turns = np.linspace(0, 2 * np.pi, 16, endpoint=False)
-    best, room = at, -np.inf
+    best = at
+    room = -np.inf
     ways = np.stack([np.cos(turns), np.sin(turns)], axis=1)
     for way in np.concatenate([ways, 1.8 * ways]):
         tried = np.clip(at + AWAY * way, low, high)
@@ -297,13 +301,15 @@ def _free(at: Array, centre: Array, others: list[Array], solid: Array) -> Array:
         own = min(float(min(off)), AWAY / 2) + 1e-3 * float(way @ (at - centre))
         own -= 0.1 * float(np.linalg.norm(way))  # near its place
         if own > room:
-            best, room = tried, own
+            best = tried
+            room = own
     return best
 
 
 def _mark(sign: str, at: Array, badge: Array) -> str:
     """A ring at a place, with its number beside it."""
-    (x, y), (u, v) = at, badge
+    x, y = at
+    u, v = badge
     return (
         f'<g class="mark"><line x1="{x:.1f}" y1="{y:.1f}" x2="{u:.1f}" y2="{v:.1f}"/>'
         f'<circle class="ring" cx="{x:.1f}" cy="{y:.1f}" r="10"/>'

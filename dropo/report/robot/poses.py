@@ -87,7 +87,8 @@ def poses_of(found: Predictions, simulator: "RobotSimulator", most: int = MOST) 
     shown = shown[:: max(1, -(-len(shown) // most))]
     rows = np.nan_to_num(rows[shown])
     errors = [np.nan_to_num(error[shown]) for error in errors]
-    layout, model = simulator.layout, simulator.model
+    layout = simulator.layout
+    model = simulator.model
 
     def poses(offsets: Array) -> Array:
         states = layout.full_states(layout.move(rows, offsets), model)

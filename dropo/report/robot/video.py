@@ -15,7 +15,7 @@ from dropo.core.services.optional_dependencies import need
 from dropo.core.services.validation import Array
 from dropo.report.robot.camera import camera_of
 from dropo.report.robot.poses import MOST, poses_of
-from dropo.report.robot.stage import GHOSTS, Stage
+from dropo.report.robot.renderer import GHOSTS, RobotRenderer
 
 if TYPE_CHECKING:
     from dropo.mjmodel.robot_simulator import RobotSimulator
@@ -94,9 +94,10 @@ def write_video(
     camera, lookat = camera_of(poses.places, poses.sizes, WIDTH / HEIGHT, poses.floating)
     count = max(2, round(length * PAGE_FRAMES))
     shown = np.linspace(0, len(poses.times) - 1, count).round().astype(int)
-    stage = Stage(simulator.model, WIDTH, HEIGHT)
+    renderer = RobotRenderer(simulator.model, WIDTH, HEIGHT)
     halves = ((poses.before, GHOSTS[0]), (poses.after, GHOSTS[1]))
-    at, frame = -1, np.zeros(0)
+    at = -1
+    frame = np.zeros(0)
     try:
         with (
             atomic_write(path) as part,
@@ -105,14 +106,14 @@ def write_video(
             for k in shown:
                 if k != at:
                     at = k
-                    stage.look(camera, lookat[k])
+                    renderer.aim(camera, lookat[k])
                     images = [
-                        stage.frame(poses.measured[k], own[k], ghost) for own, ghost in halves
+                        renderer.frame(poses.measured[k], own[k], ghost) for own, ghost in halves
                     ]
                     frame = np.concatenate(images)
                 writer.send(frame)
     finally:
-        stage.close()
+        renderer.close()
     return Shown(path, poses.factor, slowed, whole)
 
 
@@ -142,18 +143,18 @@ def write_motion(qpos: Array, model: Any, step: float, path: Path) -> Path:
     MissingPackage, DropoError
         As of `write_video`.
     """
-    stage = Stage(model, WIDTH, WIDTH)
+    renderer = RobotRenderer(model, WIDTH, WIDTH)
     if model.ncam:
-        stage.camera.type = stage.mujoco.mjtCamera.mjCAMERA_FIXED
-        stage.camera.fixedcamid = 0
+        renderer.camera.type = renderer.mujoco.mjtCamera.mjCAMERA_FIXED
+        renderer.camera.fixedcamid = 0
     length = len(qpos) * step
     try:
         with atomic_write(path) as part, _Writer(part, (WIDTH, WIDTH), FRAMES) as writer:
             for time in np.arange(0, length, 1 / FRAMES):
                 nearest = min(round(time / step), len(qpos) - 1)
-                writer.send(stage.frame(qpos[nearest]))
+                writer.send(renderer.frame(qpos[nearest]))
     finally:
-        stage.close()
+        renderer.close()
     return path
 
 

@@ -149,7 +149,15 @@ class Episodes:
         self._start(ids)
 
     def take(self, i: int, data: mujoco.MjData) -> None:
-        """Begin an episode of simulation `i` in the state of `data`."""
+        """Begin an episode of one simulation in a state of MuJoCo's.
+
+        Parameters
+        ----------
+        i : int
+            The simulation.
+        data : MjData
+            Its state, which is copied.
+        """
         for name, live in self._live.items():
             if live[i].size:
                 live[i] = getattr(data, name)
@@ -181,7 +189,18 @@ class Episodes:
             self._live["xfrc_applied"][i] += self._layers[i].reset(row)
 
     def states(self, ids: Ints) -> Array:
-        """Read positions and velocities of some simulations: (m, nq + nv)."""
+        """Read positions and velocities of some simulations.
+
+        Parameters
+        ----------
+        ids : (m,) array of int
+            The simulations.
+
+        Returns
+        -------
+        (m, nq + nv) array
+            Positions, then velocities, in the model's units.
+        """
         return np.hstack([self._live["qpos"][ids], self._live["qvel"][ids]])
 
     def step(self, ids: Ints, commands: Array, steps: int | None = None) -> NDArray[np.bool_]:
@@ -247,7 +266,18 @@ class Episodes:
         return np.concatenate([time, *state], axis=1)
 
     def rows(self, ids: Ints) -> Array:
-        """Observe the true states of some simulations: (m, P) observation rows."""
+        """Observe the true states of some simulations.
+
+        Parameters
+        ----------
+        ids : (m,) array of int
+            The simulations.
+
+        Returns
+        -------
+        (m, P) array
+            Observation rows before sensors change them; see `measured`.
+        """
         sensors = None
         if self._sensors is not None:
             with suppress_mujoco_warnings():

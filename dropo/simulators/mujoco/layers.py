@@ -60,7 +60,20 @@ def split_by_time_profile(
 
 
 def declared_values(values: Array, active: ActiveEffects) -> Array:
-    """Change the values (d,) of the declared parameters as the effects do."""
+    """Change the values of the declared parameters as the effects do.
+
+    Parameters
+    ----------
+    values : (d,) array
+        Of the declared parameters, in their units.
+    active : sequence of (EffectInstance, (q,) array)
+        The effects with their magnitudes.
+
+    Returns
+    -------
+    (d,) array
+        The same array if no effect changes it.
+    """
     for instance, magnitudes in active:
         if instance.declared is not None:
             values = instance.declared(values, magnitudes)
@@ -147,13 +160,39 @@ def change_commands(
 
 
 def clamp(commands: Array, model: mujoco.MjModel) -> Array:
-    """Clamp commands (T, nu) to the actuators' control ranges, as MuJoCo does itself."""
+    """Clamp commands to the actuators' control ranges, as MuJoCo does itself.
+
+    Parameters
+    ----------
+    commands : (T, nu) array
+        Commands of T steps.
+    model : MjModel
+        Its actuators have the ranges.
+
+    Returns
+    -------
+    (T, nu) array
+        Commands of actuators without a range as they are.
+    """
     low, high = control_ranges(model)
     return np.clip(commands, low, high)
 
 
 def control_ranges(model: mujoco.MjModel) -> tuple[Array, Array]:
-    """Read the lower and upper ends (nu,) of the control ranges; infinite where there is none."""
+    """Read the ends of the actuators' control ranges.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+
+    Returns
+    -------
+    low : (nu,) array
+        Lower ends, -inf where there is no range.
+    high : (nu,) array
+        Upper ends, inf where there is no range.
+    """
     limited = np.asarray(model.actuator_ctrllimited, dtype=bool)
     low = np.where(limited, model.actuator_ctrlrange[:, 0], -np.inf)
     high = np.where(limited, model.actuator_ctrlrange[:, 1], np.inf)
@@ -161,7 +200,18 @@ def control_ranges(model: mujoco.MjModel) -> tuple[Array, Array]:
 
 
 def changes_commands(active: ActiveEffects) -> bool:
-    """Whether an effect changes commands independently of the state."""
+    """Return whether an effect changes commands independently of the state.
+
+    Parameters
+    ----------
+    active : sequence of (EffectInstance, (q,) array)
+        The effects with their magnitudes.
+
+    Returns
+    -------
+    bool
+        True with a hook `command` or `actuation`.
+    """
     return any(
         instance.command is not None or instance.actuation is not None for instance, _ in active
     )
@@ -194,7 +244,20 @@ def true_starts(rows: Array, speeds: Array, layout: Layout, active: ActiveEffect
 
 
 def measured_signals(signals: Array, active: ActiveEffects) -> Array:
-    """Turn true signals (..., p) into those that the sensors measure, delays aside."""
+    """Turn true signals into those that the sensors measure, delays aside.
+
+    Parameters
+    ----------
+    signals : (..., p) array
+        In the signals' units.
+    active : sequence of (EffectInstance, (q,) array)
+        The effects with their magnitudes.
+
+    Returns
+    -------
+    (..., p) array
+        After every hook `measurement`, in the order of the effects.
+    """
     for instance, magnitudes in active:
         if instance.measurement is not None:
             signals = instance.measurement(signals, magnitudes)
@@ -202,7 +265,20 @@ def measured_signals(signals: Array, active: ActiveEffects) -> Array:
 
 
 def total_delays(active: ActiveEffects, p: int) -> Array:
-    """Add up the delays of each signal: (p,) [s]."""
+    """Add up the delays of each signal.
+
+    Parameters
+    ----------
+    active : sequence of (EffectInstance, (q,) array)
+        The effects with their magnitudes.
+    p : int
+        Number of signals.
+
+    Returns
+    -------
+    (p,) array
+        The time by which each is measured late [s].
+    """
     total = np.zeros(p)
     for instance, magnitudes in active:
         if instance.sensor_delay is not None:

@@ -62,9 +62,18 @@ class Robot:
         act: Array | float = 0.0,
         past: RecordedPast | None = None,
     ) -> None:
-        """Begin anew at positions (nq,), velocities (nv,) and states (na,) of the actuators.
+        """Begin anew, without memory of the commands before.
 
-        past: what was recorded before, of a robot that goes on where a recording was.
+        Parameters
+        ----------
+        qpos : (nq,) array
+            Positions, in the model's units.
+        qvel : (nv,) array
+            Velocities.
+        act : (na,) array or float
+            States of the actuators that have one.
+        past : RecordedPast, optional
+            What was recorded before, of a robot that goes on where a recording was.
         """
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[:] = qpos
@@ -79,20 +88,40 @@ class Robot:
         self._steps = 0
 
     def step(self, command: Array) -> None:
-        """Hold a command (nu,) for a control step."""
+        """Hold a command for a control step.
+
+        Parameters
+        ----------
+        command : (nu,) array
+            As it is given, before any effect.
+        """
         self._given.append(np.array(command, dtype=float))
         for one in self.commands(np.stack(self._given))[-self.frame_skip :]:
             self.advance(one)
 
     def commands(self, given: Array) -> Array:
-        """Change the commands (T, nu) of a motion from its beginning on as the effects do.
+        """Change the commands of a motion from its beginning on as the effects do.
 
-        The result (T frame_skip, nu) has a row for each physics step.
+        Parameters
+        ----------
+        given : (T, nu) array
+            The commands of T control steps.
+
+        Returns
+        -------
+        (T frame_skip, nu) array
+            A row for each physics step.
         """
         return change_commands(given, self.given_model, self.frame_skip, self.effects)
 
     def advance(self, command: Array) -> None:
-        """Make one physics step under a command (nu,) that `commands` gives."""
+        """Make one physics step.
+
+        Parameters
+        ----------
+        command : (nu,) array
+            A row of what `commands` gives.
+        """
         self.data.ctrl[:] = command
         if self._reacting:
             self._react(command)
@@ -122,7 +151,15 @@ class Robot:
 
 
 def write_numbers(model: mujoco.MjModel, numbers: Mapping[str, Array]) -> None:
-    """Write numbers by the names of their fields into a model; those of mjOption begin with opt."""
+    """Write numbers by the names of their fields into a model.
+
+    Parameters
+    ----------
+    model : MjModel
+        It is changed in place.
+    numbers : mapping of str to array
+        All numbers of each field; the names of fields of mjOption begin with "opt.".
+    """
     for name, value in numbers.items():
         owner = model.opt if name.startswith(OPTION) else model
         field = name.removeprefix(OPTION)

@@ -252,7 +252,18 @@ def react(
 
 
 def reacting_effects(active: ActiveEffects) -> list[tuple[EffectInstance, Array]]:
-    """Select the effects that depend on the state of every physics step."""
+    """Select the effects that depend on the state of every physics step.
+
+    Parameters
+    ----------
+    active : sequence of (EffectInstance, (q,) array)
+        The effects with their magnitudes.
+
+    Returns
+    -------
+    list of (EffectInstance, (q,) array)
+        Those with a hook `command_feedback`, `force` or `friction`.
+    """
     found = []
     for instance, magnitudes in active:
         hooks = (instance.command_feedback, instance.force, instance.friction)
@@ -262,7 +273,20 @@ def reacting_effects(active: ActiveEffects) -> list[tuple[EffectInstance, Array]
 
 
 def constant_wrenches(active: ActiveEffects, nbody: int) -> Array:
-    """Add up the constant forces and torques of the effects: (nbody, 6) [N, N m]."""
+    """Add up the constant forces and torques of the effects.
+
+    Parameters
+    ----------
+    active : sequence of (EffectInstance, (q,) array)
+        The effects with their magnitudes.
+    nbody : int
+        Number of bodies, the world's included.
+
+    Returns
+    -------
+    (nbody, 6) array
+        Force, then torque at each body's centre of mass, in the world's axes [N, N m].
+    """
     total = np.zeros((nbody, 6))
     for instance, magnitudes in active:
         if instance.wrench is not None:
@@ -272,7 +296,20 @@ def constant_wrenches(active: ActiveEffects, nbody: int) -> Array:
 
 
 def acts_after_clamp(active: ActiveEffects) -> bool:
-    """Whether commands are changed after they were clamped, so that MuJoCo must not clamp again."""
+    """Return whether commands are changed after they were clamped.
+
+    MuJoCo must then not clamp them again.
+
+    Parameters
+    ----------
+    active : sequence of (EffectInstance, (q,) array)
+        The effects with their magnitudes.
+
+    Returns
+    -------
+    bool
+        True with a hook `actuation` or `command_feedback`.
+    """
     return any(
         instance.actuation is not None or instance.command_feedback is not None
         for instance, _ in active

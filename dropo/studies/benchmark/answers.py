@@ -184,7 +184,18 @@ def diagnosed(path: str) -> dict[str, Any]:
 
 
 def answer_of(problem: Problem) -> dict[str, Any]:
-    """Diagnose a problem; see `diagnosed`."""
+    """Diagnose a problem, and write down what is said of it.
+
+    Parameters
+    ----------
+    problem : Problem
+        A data set of the benchmark.
+
+    Returns
+    -------
+    dict
+        The causes as an answer has them, the verdict, and the number of simulator steps.
+    """
     found: Diagnosis = Diagnose().run(problem, rng=0)
     return {
         "causes": causes_of(found),

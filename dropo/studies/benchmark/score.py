@@ -32,7 +32,7 @@ HEADER = (
 
 
 @dataclass(frozen=True)
-class Judged:
+class EvaluatedAnswer:
     """One answer, held against the truth.
 
     Attributes
@@ -88,7 +88,7 @@ def read_truth(folder: Path, path: Path | None = None) -> dict[str, dict[str, An
     return truths
 
 
-def judge(truth: Mapping[str, Any], causes: Sequence[Cause] | None) -> Judged:
+def evaluate_answer(truth: Mapping[str, Any], causes: Sequence[Cause] | None) -> EvaluatedAnswer:
     """Hold one answer against the truth.
 
     Parameters
@@ -100,10 +100,10 @@ def judge(truth: Mapping[str, Any], causes: Sequence[Cause] | None) -> Judged:
 
     Returns
     -------
-    Judged
+    EvaluatedAnswer
     """
     if causes is None:
-        return Judged(False, False, False, False, False, None)
+        return EvaluatedAnswer(False, False, False, False, False, None)
     same = {(effect, target) for effect, target in truth["same"]}
     own = [cause for cause in causes if (cause["effect"], cause.get("target")) in same]
     others = [cause for cause in causes if cause not in own]
@@ -112,7 +112,7 @@ def judge(truth: Mapping[str, Any], causes: Sequence[Cause] | None) -> Judged:
     for cause in own:
         if cause["effect"] == truth["effect"]:
             error = _error(truth["sizes"], cause.get("sizes", {}))
-    return Judged(
+    return EvaluatedAnswer(
         answered=True,
         named=bool(own),
         among=bool(own) or bool(same & confused),
@@ -143,69 +143,74 @@ def score(truths: Mapping[str, Mapping[str, Any]], answers: Answers) -> tuple[Ta
     tuple of Table
         Hidden effects by strength, by machine, and what is said where nothing is hidden.
     """
-    judged = {name: judge(truth, answers.get(name)) for name, truth in truths.items()}
+    evaluated = {name: evaluate_answer(truth, answers.get(name)) for name, truth in truths.items()}
     hidden = [name for name, truth in truths.items() if truth["effect"] is not None]
     rows = []
     for low, high in pairwise(STRENGTHS):
-        own = [judged[name] for name in hidden if low <= truths[name]["nats"] < high]
+        own = [evaluated[name] for name in hidden if low <= truths[name]["nats"] < high]
         if own:
             bounds = f"{low:g} to {high:g}" if np.isfinite(high) else f"{low:g} and more"
             rows.append((bounds, *_cells(own)))
-    rows.append(("all", *_cells([judged[name] for name in hidden])))
+    rows.append(("all", *_cells([evaluated[name] for name in hidden])))
     return (
         Table("One effect hidden, by strength", HEADER, tuple(rows)),
         Table(
             "One effect hidden, by machine",
             ("machine", *HEADER[1:]),
-            tuple(_by_machine(truths, judged, hidden)),
+            tuple(_by_machine(truths, evaluated, hidden)),
         ),
         Table(
             "Nothing hidden",
             ("machine", "sets", "answered", "nothing said", "95 %"),
-            tuple(_of_nothing(truths, judged)),
+            tuple(_of_nothing(truths, evaluated)),
         ),
     )
 
 
-def _cells(judged: Sequence[Judged]) -> tuple[str, ...]:
+def _cells(evaluated: Sequence[EvaluatedAnswer]) -> tuple[str, ...]:
     """What is said of some sets with an effect."""
-    count = len(judged)
-    named = [one for one in judged if one.named]
+    count = len(evaluated)
+    named = [one for one in evaluated if one.named]
     errors = [one.error for one in named if one.error is not None]
     low, high = interval(len(named), count)
     return (
         str(count),
-        str(sum(one.answered for one in judged)),
+        str(sum(one.answered for one in evaluated)),
         f"{len(named)}/{count}",
         f"{low:.0%}-{high:.0%}",
         f"{sum(not one.others for one in named)}/{count}",
-        f"{sum(one.among for one in judged)}/{count}",
-        f"{sum(one.silent for one in judged)}/{count}",
-        f"{sum(one.others for one in judged)}/{count}",
+        f"{sum(one.among for one in evaluated)}/{count}",
+        f"{sum(one.silent for one in evaluated)}/{count}",
+        f"{sum(one.others for one in evaluated)}/{count}",
         f"{np.median(errors):.2%}" if errors else "-",
     )
 
 
 def _by_machine(
-    truths: Mapping[str, Mapping[str, Any]], judged: Mapping[str, Judged], hidden: Sequence[str]
+    truths: Mapping[str, Mapping[str, Any]],
+    evaluated: Mapping[str, EvaluatedAnswer],
+    hidden: Sequence[str],
 ) -> list[tuple[str, ...]]:
     """A row for each machine."""
     machines = list(dict.fromkeys(truths[name]["machine"] for name in hidden))
     return [
-        (machine, *_cells([judged[name] for name in hidden if truths[name]["machine"] == machine]))
+        (
+            machine,
+            *_cells([evaluated[name] for name in hidden if truths[name]["machine"] == machine]),
+        )
         for machine in machines
     ]
 
 
 def _of_nothing(
-    truths: Mapping[str, Mapping[str, Any]], judged: Mapping[str, Judged]
+    truths: Mapping[str, Mapping[str, Any]], evaluated: Mapping[str, EvaluatedAnswer]
 ) -> list[tuple[str, ...]]:
     """A row for each machine, and one for all, of the sets in which nothing is hidden."""
     empty = [name for name, truth in truths.items() if truth["effect"] is None]
     machines = list(dict.fromkeys(truths[name]["machine"] for name in empty))
     rows: list[tuple[str, ...]] = []
     for machine in [*machines, "all"]:
-        own = [judged[name] for name in empty if machine in ("all", truths[name]["machine"])]
+        own = [evaluated[name] for name in empty if machine in ("all", truths[name]["machine"])]
         silent = sum(one.silent for one in own)
         low, high = interval(silent, len(own))
         answered = str(sum(one.answered for one in own))

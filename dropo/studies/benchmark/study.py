@@ -10,7 +10,7 @@ from dropo.core.services.validation import known
 from dropo.problems.file.writer import write_problem
 from dropo.problems.loading import load
 from dropo.studies.benchmark.answers import Answers, answer_of
-from dropo.studies.benchmark.score import judge, score
+from dropo.studies.benchmark.score import evaluate_answer, score
 from dropo.studies.benchmark.sets import COUNT, MACHINES, SEED, VERSION, make_set, set_names
 from dropo.studies.engine.study import Study, Table
 from dropo.studies.engine.work import Work
@@ -127,9 +127,9 @@ def scored(name: str, truths: dict[str, dict[str, Any]], answers: Answers) -> St
     Returns
     -------
     Study
-        With every set judged in its data.
+        With every set evaluated in its data.
     """
-    data = {own: asdict(judge(truth, answers.get(own))) for own, truth in truths.items()}
+    data = {own: asdict(evaluate_answer(truth, answers.get(own))) for own, truth in truths.items()}
     title = f"Benchmark {VERSION}: {name}, {len(answers)} of {len(truths)} data sets answered"
     return Study("benchmark", title, score(truths, answers), RULES[:2], {"sets": data})
 

@@ -103,7 +103,45 @@ def run_comparison(
     threads: int = 0,
     progress: Progress = silent,
 ) -> Study:
-    """Compare without writing: arguments, result and refusals are those of `compare`."""
+    """Compare methods or their parts like `compare`, without writing the study.
+
+    Parameters
+    ----------
+    estimators : sequence
+        What is compared, the reference first, as `compare` takes it.
+    problems : sequence of str
+        Built-in problems, tables of the thesis, or problem files.
+    seeds : int
+        Number of data sets of each problem.
+    transitions : int or None
+        Number of transitions of each data set that are used; None for all.
+    target : Target
+        When a data set counts as solved.
+    out : str, Path or None
+        Folder in which answers of finished fits are kept, so that an interrupted comparison is
+        resumed; None to keep none.
+    executor : concurrent.futures.Executor or None
+        Where fits run; None for threads.
+    threads : int
+        Number of threads without an executor; 0 for all cores.
+    progress : callable
+        Called with the finished fraction and a text.
+
+    Returns
+    -------
+    Study
+        As `compare` gives it.
+
+    Raises
+    ------
+    BadArgument
+        If there are fewer than two different variants, no problem, fewer than one data set or
+        transition, or `out` is a file.
+    UnknownName
+        If a problem, a method or a part does not exist; the message gives the nearest name.
+    InvalidInput
+        If a problem file or a setting is refused.
+    """
     variants = _distinct(estimators)
     problems = list(dict.fromkeys(str(problem) for problem in problems))
     require(len(problems) >= 1, "problems", "at least one", len(problems), "compare")

@@ -71,6 +71,11 @@ def compared(item: list[Any]) -> Result:
     ----------
     item : list
         Empty.
+
+    Returns
+    -------
+    dict
+        flights: what was done to the drone and what the comparison says, of each; simulator_steps.
     """
     truth = faults()
     result = compare_with_reference(load("crazypad", threads=1))

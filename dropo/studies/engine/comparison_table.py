@@ -50,7 +50,18 @@ def error_of(row: Row, reference: Row) -> float:
 
 
 def z_of(row: Row) -> float:
-    """The same in the fit's own standard errors."""
+    """Compute the error of a fit in its own standard errors.
+
+    Parameters
+    ----------
+    row : dict
+        The fit, as a task gives it.
+
+    Returns
+    -------
+    float
+        Root mean square over the parameters; NaN of a fit that failed.
+    """
     if "failed" in row:
         return float("nan")
     return error_of(row, row)
@@ -110,7 +121,18 @@ def comparison_table(
 
 
 def note_on_tests(data_sets: int) -> str:
-    """A sentence on what paired tests of so many `data_sets` can show."""
+    """Say what paired tests of a number of data sets can show.
+
+    Parameters
+    ----------
+    data_sets : int
+        The number.
+
+    Returns
+    -------
+    str
+        Two sentences for beneath a table.
+    """
     least = smallest_p_value(data_sets)
     return (
         f"p: Wilcoxon's signed ranks over {data_sets} data sets, Holm's over all tests of a table;"
@@ -168,5 +190,16 @@ def _ratio(values: Array, units: Any) -> Array:
 
 
 def rms(values: Array) -> float:
-    """Compute the root mean square of `values` (n,); NaN of none."""
+    """Compute a root mean square.
+
+    Parameters
+    ----------
+    values : (n,) array
+        Of any unit.
+
+    Returns
+    -------
+    float
+        In the same unit; NaN of no values.
+    """
     return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")

@@ -17,7 +17,7 @@ from dropo.studies.engine.study import Study
 
 
 def write(study: Study, folder: Path) -> None:
-    """Writes a study's files into a folder.
+    """Write a study's files into a folder.
 
     They are `<study>.md`, `<study>.json` and, if it draws, `<study>.svg`. In the folder's README.md
     the text between `<!-- study: <name> -->` and `<!-- end -->` is replaced. What the folder holds
@@ -83,7 +83,18 @@ def keep_others(study: Study, folder: Path) -> None:
 
 
 def markdown(study: Study) -> str:
-    """The study's printed text as a block of Markdown, and its figure."""
+    """Write a study as Markdown.
+
+    Parameters
+    ----------
+    study : Study
+        The study.
+
+    Returns
+    -------
+    str
+        Its printed text as a block, and a link to its figure where it has one.
+    """
     figure = f"\n![{study.title}]({study.name}.svg)\n" if study.draw is not None else ""
     return f"```text\n{study}\n```\n{figure}"
 

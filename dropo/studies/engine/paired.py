@@ -30,7 +30,18 @@ def paired_p_value(first: ArrayLike, second: ArrayLike) -> float:
 
 
 def smallest_p_value(pairs: int) -> float:
-    """The smallest p-value that signed ranks of so many `pairs` can reach."""
+    """Compute the smallest p-value that Wilcoxon's signed ranks can reach.
+
+    Parameters
+    ----------
+    pairs : int
+        Number n of pairs.
+
+    Returns
+    -------
+    float
+        2^(1 - n), two-sided, where all differences have one sign; at most 1.
+    """
     return min(1.0, 2.0 ** (1 - pairs))
 
 
@@ -119,6 +130,11 @@ def data_profile(costs: ArrayLike, unit: ArrayLike) -> tuple[Array, Array]:
     References
     ----------
     More and Wild 2009, as of `performance_profile`.
+
+    Raises
+    ------
+    BadArgument
+        If `unit` has another length than `costs`, or is not finite.
     """
     costs = np.asarray(costs, dtype=float)
     units = float_array("unit", unit, (len(costs),), "data_profile")

@@ -42,7 +42,7 @@ def recover(
     threads: int = 0,
     progress: Progress = silent,
 ) -> Study:
-    """Runs the study of that name; `dropo list studies` lists them.
+    """Run the study of that name; `dropo list studies` lists them.
 
     Parameters
     ----------
@@ -111,12 +111,43 @@ def run_study(
     threads: int = 0,
     progress: Progress = silent,
 ) -> Study:
-    """Run a study without writing it: arguments and result are those of `recover`.
+    """Run a study without writing it.
+
+    Parameters
+    ----------
+    name : str
+        The study's name.
+    seeds : int or None
+        Number of data sets; None for the study's own.
+    published : bool or "full"
+        Whether the published method is run too, at a reduced size or at its full one.
+    problems : sequence of str
+        Problems in place of the study's own.
+    variants : sequence of Variant
+        Methods with parts exchanged, beside the study's own.
+    out : str, Path or None
+        Folder in which answers of finished tasks are kept, so that an interrupted study is resumed;
+        None to keep none.
+    executor : concurrent.futures.Executor or None
+        Where tasks run; None for threads.
+    threads : int
+        Number of threads without an executor; 0 for all cores.
+    progress : callable
+        Called with the finished fraction and a text.
+
+    Returns
+    -------
+    Study
+        The finished study.
 
     Raises
     ------
-    UnknownName, BadArgument, Incompatible
-        As `recover`.
+    UnknownName
+        If there is no such study; the message gives the nearest name.
+    BadArgument
+        If `seeds` is less than 1, or `out` is a file.
+    Incompatible
+        If the study does not take one of the options that are given.
     Interrupted
         In place of a KeyboardInterrupt; it says how many answers are kept.
     """
@@ -148,7 +179,7 @@ def run_study(
 
 
 def keep_study(study: Study, out: str | Path | None) -> None:
-    """Writes a finished study, and removes the journal of its tasks unless it holds others' too.
+    """Write a finished study, and remove the journal of its tasks unless it holds others' too.
 
     Parameters
     ----------
@@ -184,6 +215,11 @@ def journal_of(out: str | Path, name: str) -> Path:
     ------
     BadArgument
         If `out` is a file.
+
+    Returns
+    -------
+    Path
+        A hidden file in the folder.
     """
     folder = Path(out)
     is_free = folder.is_dir() or not folder.exists()

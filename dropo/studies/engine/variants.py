@@ -60,7 +60,23 @@ class Variant:
         return estimator_for(problem, self.method, dict(self.settings))
 
     def shares_likelihood(self, other: "Variant") -> bool:
-        """Tell whether log-likelihoods of both are on one scale: the same method and likelihood."""
+        """Tell whether log-likelihoods of two variants are on one scale.
+
+        Parameters
+        ----------
+        other : Variant
+            The other one.
+
+        Returns
+        -------
+        bool
+            Whether both have the same method and likelihood.
+
+        Raises
+        ------
+        UnknownName
+            If one of the methods does not exist.
+        """
         return self._scale() == other._scale()
 
     def _scale(self) -> tuple[str, Any]:

@@ -85,7 +85,7 @@ class Work:
         self._unused = set(self._answers)
 
     def map(self, task: Task, items: Iterable[Any]) -> list[dict[str, Any]]:
-        """Runs a task on every item.
+        """Run a task on every item.
 
         Parameters
         ----------
@@ -119,7 +119,7 @@ class Work:
         return [json.loads(self._answers[key]) for key, _ in keyed]
 
     def kept(self, key: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-        """Gives the answer that is kept under a key, or makes it in this thread and keeps it.
+        """Give the answer that is kept under a key, or make it in this thread and keep it.
 
         Parameters
         ----------

@@ -130,7 +130,20 @@ class Machine:
 
 
 def first_model(design: Design) -> mujoco.MjSpec:
-    """The first model that an engineer would have of a machine."""
+    """Build the first model that an engineer would have of a machine.
+
+    It has the kinematics and masses, and drives with a maker's gain.
+
+    Parameters
+    ----------
+    design : Design
+        The machine's chain of bodies.
+
+    Returns
+    -------
+    mujoco.MjSpec
+        With a joint "joint0", ... and a drive "drive0", ... for each body.
+    """
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     spec.option.timestep = STEP
@@ -167,7 +180,21 @@ def first_model(design: Design) -> mujoco.MjSpec:
 
 
 def random_machine(design: Design, rng: Generator) -> Machine:
-    """A machine of plausible numbers."""
+    """Draw what a machine has and its model lacks, in plausible numbers.
+
+    Parameters
+    ----------
+    design : Design
+        The machine, with n joints.
+    rng : numpy.random.Generator
+        What random numbers come from.
+
+    Returns
+    -------
+    Machine
+        With numbers in proportion to the drives' gains, and a payload of half to twice the last
+        body's mass.
+    """
     gains = np.array(design.gains)
     n = len(gains)
     force = 1.0 if design.servos else 5.0  # motors of fewer newton metres have more friction
@@ -182,12 +209,36 @@ def random_machine(design: Design, rng: Generator) -> Machine:
 
 
 def nothing_missing(machine: Machine) -> Machine:
-    """The machine whose commands come in time, for a model that has all the rest."""
+    """Let the commands come in time, for a model that has all the rest.
+
+    Parameters
+    ----------
+    machine : Machine
+        What the machine has.
+
+    Returns
+    -------
+    Machine
+        The same without delay.
+    """
     return replace(machine, delay=0.0)
 
 
 def built(spec: mujoco.MjSpec, machine: Machine) -> mujoco.MjSpec:
-    """The machine itself: its model with all that is missing, at a finer physics step."""
+    """Build the machine itself: its model with all that is missing, at a finer physics step.
+
+    Parameters
+    ----------
+    spec : mujoco.MjSpec
+        The first model, which is left as it is.
+    machine : Machine
+        What is missing; its delay is applied by `recorded`.
+
+    Returns
+    -------
+    mujoco.MjSpec
+        The machine, simulated `FINER` times finer than the model.
+    """
     made = spec.copy()
     for i, joint in enumerate(made.joints):
         joint.armature = machine.armature[i]
@@ -315,7 +366,24 @@ def _sines(drives: int, count: int, servos: bool, rng: Generator) -> Array:
 def problem_of(
     name: str, spec: mujoco.MjSpec, data: Trajectories, control: float = CONTROL
 ) -> Problem:
-    """Recorded motion with the model that is to be diagnosed."""
+    """Put recorded motion together with the model that is to be diagnosed.
+
+    Parameters
+    ----------
+    name : str
+        The problem's name.
+    spec : mujoco.MjSpec
+        The model.
+    data : Trajectories
+        Positions and commands, as `recorded` gives them.
+    control : float
+        Control step [s].
+
+    Returns
+    -------
+    Problem
+        Without parameters to fit, on one thread.
+    """
     frame_skip = round(control / spec.option.timestep)
     simulator = MujocoSimulator(spec, [], observation=["qpos"], frame_skip=frame_skip, threads=1)
     return Problem(name, simulator, data)

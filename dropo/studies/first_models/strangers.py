@@ -25,7 +25,18 @@ from dropo.studies.first_models.machines import (
 
 
 def random_design(rng: Generator) -> Design:
-    """A chain of one to three joints on position servos."""
+    """Draw a chain of one to three joints on position servos.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        What random numbers come from.
+
+    Returns
+    -------
+    Design
+        Slides, if there are any, before hinges.
+    """
     count = int(rng.integers(1, 4))
     axes: list[str] = []
     along: list[str] = []
@@ -51,7 +62,20 @@ def random_design(rng: Generator) -> Design:
 
 
 def random_stranger(design: Design, rng: Generator) -> Machine:
-    """What a machine has that its model lacks."""
+    """Draw what a machine has that its model lacks.
+
+    Parameters
+    ----------
+    design : Design
+        The machine.
+    rng : numpy.random.Generator
+        What random numbers come from.
+
+    Returns
+    -------
+    Machine
+        With rotors and friction; for one machine in two also with a wrong gain at each drive.
+    """
     gains = np.array(design.gains)
     count = len(gains)
     differ = rng.random() < 0.5

@@ -98,6 +98,11 @@ def diagnosed(name: str) -> dict[str, Any]:
     ----------
     name : str
         Name of the problem, for the list of finished tasks.
+
+    Returns
+    -------
+    dict
+        Plain values by key.
     """
     found = Diagnose().run(hopper_v5(threads=1), rng=0).to_json()
     return {key: value for key, value in found.items() if key != "pictures"}

@@ -396,7 +396,7 @@ def hide_some(
     rng: np.random.Generator,
     settings: HiddenEffectSettings = DEFAULT,
 ) -> tuple[Hidden, Trajectories, float]:
-    """Draws what is hidden, and records the data.
+    """Draw what is hidden, and record the data.
 
     Parameters
     ----------
@@ -458,7 +458,7 @@ def draw(
     rng: np.random.Generator,
     sizes: tuple[float, float] = (0.1, 2.0),
 ) -> tuple[EffectInstance, Array] | None:
-    """Draws an effect of a kind at a random place.
+    """Draw an effect of a kind at a random place.
 
     Parameters
     ----------
@@ -542,6 +542,10 @@ def every_magnitude_counts(
         As in `gain_of`.
     settings : HiddenEffectSettings
         What an effect must gain.
+
+    Returns
+    -------
+    bool
     """
     instance, magnitudes = one
     if len(magnitudes) == 1:
@@ -647,7 +651,7 @@ def white_noise() -> tuple[EffectInstance, Array]:
 def unmodelled_cause(
     robot: SimulatedRobot, rng: np.random.Generator
 ) -> tuple[EffectInstance, Array]:
-    """Draws a cause that no effect stands for, at a random actuator's joint.
+    """Draw a cause that no effect stands for, at a random actuator's joint.
 
     It is drag that grows with the speed's square, a spring that hardens, or a command that counts
     more at large angles.

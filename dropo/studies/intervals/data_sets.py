@@ -103,7 +103,7 @@ def _slide(x: Array, v: Array, final: Array, lag: float, time: Array) -> tuple[A
 def data_set(
     robot: str, noise: str, count: int, steps: int, rng: np.random.Generator
 ) -> tuple[Problem, Array]:
-    """Simulates the data of one case.
+    """Simulate the data of one case.
 
     Parameters
     ----------

@@ -296,7 +296,7 @@ def _found(hidden: list[dict[str, Any]]) -> Table:
                 one["name"],
                 f"{one['hidden']} at {one['target']}",
                 said or "-",
-                "yes" if one["right"] else "among the others" if one["among"] else "no",
+                _how_right(one),
                 number(one["nats"], 3),
                 number(one["share"], 3),
                 one["verdict"],
@@ -305,6 +305,13 @@ def _found(hidden: list[dict[str, Any]]) -> Table:
         )
     header = ("law", "hidden", "said", "right", "nats", "share", "verdict", "simulator steps")
     return Table("Hidden laws", header, tuple(rows))
+
+
+def _how_right(one: dict[str, Any]) -> str:
+    """Whether the hidden formula is the one found, or among those that it is confused with."""
+    if one["right"]:
+        return "yes"
+    return "among the others" if one["among"] else "no"
 
 
 def _silent(none: list[dict[str, Any]]) -> Table:

@@ -139,6 +139,11 @@ def run(item: list[Any]) -> Result:
     ----------
     item : list
         Name of the problem, and seed.
+
+    Returns
+    -------
+    dict
+        The verdict, the causes with their sentences, and held-out errors by horizon.
     """
     name = str(item[0])
     seed = int(item[1])

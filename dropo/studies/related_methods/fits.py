@@ -99,6 +99,11 @@ def item(table: str, seed: int, size: Size, **more: Any) -> Item:
         How large the study is.
     **more
         What else the task takes, such as `method`.
+
+    Returns
+    -------
+    dict
+        Plain values, which name the task in the list of finished ones.
     """
     return {"table": table, "seed": seed, "size": asdict(size), **more}
 
@@ -258,7 +263,7 @@ def _size(item: Item) -> Size:
 
 
 def estimator(method: str, target: TargetRobot, size: Size) -> Estimator:
-    """Builds a method with its callbacks.
+    """Build a method with its callbacks.
 
     Parameters
     ----------
@@ -268,6 +273,10 @@ def estimator(method: str, target: TargetRobot, size: Size) -> Estimator:
         Where interactive methods collect data and evaluate.
     size : Size
         Settings of the methods.
+
+    Returns
+    -------
+    Estimator
     """
     settings = size.settings.get(method, {})
     if method == "simopt":
@@ -287,7 +296,7 @@ def estimator(method: str, target: TargetRobot, size: Size) -> Estimator:
 
 
 def fitted(item: Item) -> dict[str, Any]:
-    """Fits the item's data by its `method`.
+    """Fit the item's data by its `method`.
 
     Parameters
     ----------

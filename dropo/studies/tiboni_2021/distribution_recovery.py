@@ -129,7 +129,18 @@ def recovered(
 
 
 def reduced(size: Size) -> str:
-    """A sentence that says what "dropo, published" means in a table of that size."""
+    """Say what "dropo, published" means in a table of that size.
+
+    Parameters
+    ----------
+    size : Size
+        How large the study is.
+
+    Returns
+    -------
+    str
+        A sentence.
+    """
     draws, budget, stride = size.published
     return (
         f"'dropo, published' is Monte Carlo and CMA-ES at a reduced size: K = {draws}, "
@@ -139,7 +150,18 @@ def reduced(size: Size) -> str:
 
 
 def of_full(size: Size) -> str:
-    """A sentence that says what "dropo, as published" means in a table of that size."""
+    """Say what "dropo, as published" means in a table of that size.
+
+    Parameters
+    ----------
+    size : Size
+        How large the study is.
+
+    Returns
+    -------
+    str
+        Two sentences.
+    """
     draws, budget = size.full
     return (
         f"{AS_PUBLISHED!r} is Monte Carlo with K = {draws} draws of their own for every evaluation,"

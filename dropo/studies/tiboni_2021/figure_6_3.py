@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import stats
 
+from dropo.core.numerics.multiple_tests import holm
 from dropo.core.services.tables import number
 from dropo.core.services.validation import Array
 from dropo.studies.engine.study import Study, Table
@@ -261,12 +262,18 @@ class Difference(NamedTuple):
 
 
 def difference(one: Array, other: Array) -> Difference:
-    """The returns under one distribution less those under another.
+    """Compare the returns under two distributions.
 
     Parameters
     ----------
     one, other : (bounds, seeds) arrays
         Returns, which are averaged over bounds and paired by seeds.
+
+    Returns
+    -------
+    Difference
+        The mean of `one` less `other` over n seeds, half its 95 % interval and the p-value of
+        Student's t with n - 1 degrees of freedom; NaN of a single seed.
     """
     apart = one.mean(axis=0) - other.mean(axis=0)
     degrees = len(apart) - 1
@@ -281,34 +288,21 @@ def difference(one: Array, other: Array) -> Difference:
 
 
 def interval(values: Array) -> tuple[float, float]:
-    """The mean of values (n,) and half its 95 % interval by Student's t; NaN of a single value."""
-    n = len(values)
-    half = stats.t.ppf(0.975, n - 1) * values.std(ddof=1) / np.sqrt(n) if n > 1 else np.nan
-    return float(values.mean()), float(half)
-
-
-def holm(p: Array) -> Array:
-    """p-values adjusted for several tests.
+    """Compute the mean of values and half its 95 % interval, by Student's t.
 
     Parameters
     ----------
-    p : (m,) array
-        p-values of m tests.
+    values : (n,) array
+        Independent values, of any unit.
 
     Returns
     -------
-    (m,) array
-        Adjusted p-values.
-
-    References
-    ----------
-    Holm, "A simple sequentially rejective multiple test procedure", 1979.
+    mean, half : float
+        In the same unit; half is NaN of a single value.
     """
-    order = np.argsort(p)
-    multiplied = np.sort(p) * np.arange(len(p), 0, -1)
-    out = np.empty(len(p))
-    out[order] = np.minimum(1, np.maximum.accumulate(multiplied))
-    return out
+    n = len(values)
+    half = stats.t.ppf(0.975, n - 1) * values.std(ddof=1) / np.sqrt(n) if n > 1 else np.nan
+    return float(values.mean()), float(half)
 
 
 def _over(values: Array) -> Array:
@@ -379,7 +373,7 @@ def _pairs(returns: dict[str, Array]) -> Table:
     names = list(returns)
     pairs = list(combinations(names, 2))
     found = [difference(returns[one], returns[other]) for one, other in pairs]
-    adjusted = holm(np.array([one.p for one in found]))
+    adjusted = holm([one.p for one in found])
     cells = {}
     for pair, one, p in zip(pairs, found, adjusted, strict=True):
         cells[pair] = f"{one.mean:+.0f} ({number(p, 2)})"

@@ -21,7 +21,7 @@ from numpy.random import Generator
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.atomic_write import write_text
 from dropo.core.services.validation import Array
-from dropo.problems.hopper.data import LinearPolicy, healthy, observe, start_states
+from dropo.problems.hopper.data import HopperPolicy, healthy, observe, start_states
 from dropo.problems.hopper.model import FRAME_SKIP, hopper_model
 from dropo.simulators.mujoco.closed_loop import Rollouts, closed_loop
 from dropo.training.ars import ARS, Search
@@ -53,9 +53,24 @@ SETTINGS = Settings()
 ALGORITHM = ARS(updates=300, directions=16, best=8, step=0.02, size=0.03, trials=100, every=10)
 
 
-def run(model: mujoco.MjModel, policy: LinearPolicy, n: int, rng: Generator) -> Rollouts:
-    """n trajectories from noisy starts; the policy's weights may be (n, 3, 11), one policy a
-    trajectory.
+def run(model: mujoco.MjModel, policy: HopperPolicy, n: int, rng: Generator) -> Rollouts:
+    """Simulate trajectories from noisy starts.
+
+    Parameters
+    ----------
+    model : mujoco.MjModel
+        The hopper.
+    policy : HopperPolicy
+        Its weights may be (n, 3, 11), one policy a trajectory.
+    n : int
+        Number of trajectories.
+    rng : numpy.random.Generator
+        What starts and the noise on the actions are drawn from.
+
+    Returns
+    -------
+    Rollouts
+        Of n trajectories, each until the hopper falls or the settings' number of steps is reached.
     """
     noise = rng.standard_normal((n, SETTINGS.steps, model.nu))
     weights = np.broadcast_to(policy.weights, (n, 3, 11))
@@ -68,8 +83,19 @@ def run(model: mujoco.MjModel, policy: LinearPolicy, n: int, rng: Generator) -> 
 
 
 def returns(model: mujoco.MjModel, runs: Rollouts) -> Array:
-    """(n,) Gymnasium's return without the bonus for being alive: distance per second, less 0.001 of
-    the squared actions.
+    """Compute Gymnasium's return without the bonus for being alive.
+
+    Parameters
+    ----------
+    model : mujoco.MjModel
+        The hopper.
+    runs : Rollouts
+        n trajectories.
+
+    Returns
+    -------
+    (n,) array
+        Distance in the units of a control step, less 0.001 of the squared actions.
     """
     ends = runs.states[np.arange(len(runs.lengths)), runs.lengths, 0]
     speed = (ends - runs.states[:, 0, 0]) / (FRAME_SKIP * model.opt.timestep)
@@ -77,23 +103,52 @@ def returns(model: mujoco.MjModel, runs: Rollouts) -> Array:
     return gains
 
 
-def search(model: mujoco.MjModel, rng: Generator) -> Iterator[LinearPolicy]:
-    """The policy after each update, for ever."""
+def search(model: mujoco.MjModel, rng: Generator) -> Iterator[HopperPolicy]:
+    """Search for a policy by augmented random search, without end.
+
+    Parameters
+    ----------
+    model : mujoco.MjModel
+        The hopper.
+    rng : numpy.random.Generator
+        What random numbers come from.
+
+    Yields
+    ------
+    HopperPolicy
+        The policy after each update.
+
+    References
+    ----------
+    Mania, Guy and Recht, Simple random search of static linear policies is competitive for
+    reinforcement learning, NeurIPS 2018.
+    """
     state = Search.new(3, 11)
     while True:
         tried, both = ALGORITHM.perturb(state, rng)
-        policies = LinearPolicy(both, state.mean, state.deviation, SETTINGS.action_noise)
+        policies = HopperPolicy(both, state.mean, state.deviation, SETTINGS.action_noise)
         runs = run(model, policies, 2 * ALGORITHM.directions, rng)
         ALGORITHM.improve(state, tried, returns(model, runs).reshape(2, ALGORITHM.directions))
         visited = runs.states[:, :-1].reshape(-1, 12)
         state.add_observations(observe(visited[np.isfinite(visited).all(axis=1)]))
-        yield LinearPolicy(state.weights, state.mean, state.deviation, SETTINGS.action_noise)
+        yield HopperPolicy(state.weights, state.mean, state.deviation, SETTINGS.action_noise)
 
 
-def rounded(policy: LinearPolicy) -> LinearPolicy:
-    """The policy to six digits, as its JSON keeps it."""
+def rounded(policy: HopperPolicy) -> HopperPolicy:
+    """Round a policy to six digits, as its JSON keeps it.
+
+    Parameters
+    ----------
+    policy : HopperPolicy
+        The policy.
+
+    Returns
+    -------
+    HopperPolicy
+        With rounded weights, means and deviations.
+    """
     six = np.vectorize(lambda value: float(f"{value:.6g}"), otypes=[float])
-    return LinearPolicy(
+    return HopperPolicy(
         six(policy.weights),
         six(policy.mean),
         six(policy.deviation),
@@ -101,8 +156,31 @@ def rounded(policy: LinearPolicy) -> LinearPolicy:
     )
 
 
-def found(model: mujoco.MjModel, seed: int, updates: int) -> tuple[LinearPolicy, dict[str, float]]:
-    """The first semi-converged policy, else the last, and its figures; prints them as it goes."""
+def found(model: mujoco.MjModel, seed: int, updates: int) -> tuple[HopperPolicy, dict[str, float]]:
+    """Find the first semi-converged policy, else the last; prints its figures as it goes.
+
+    Parameters
+    ----------
+    model : mujoco.MjModel
+        The hopper.
+    seed : int
+        Seed of the search and of the trials.
+    updates : int
+        Largest number of updates.
+
+    Returns
+    -------
+    policy : HopperPolicy
+        The policy, rounded.
+    figures : dict of str to float
+        The seed, the number of updates, the mean return of the trials, and the fraction of them
+        that do not fall.
+
+    Raises
+    ------
+    AssertionError
+        If the search ends, which it never does.
+    """
     search_rng, trial_rng = np.random.default_rng(seed).spawn(2)
     for update, policy in enumerate(search(model, search_rng), 1):
         if update % ALGORITHM.every and update < updates:
@@ -120,8 +198,21 @@ def found(model: mujoco.MjModel, seed: int, updates: int) -> tuple[LinearPolicy,
     raise AssertionError("the search has no end")
 
 
-def as_json(policy: LinearPolicy, figures: dict[str, float]) -> str:
-    """One line a key."""
+def as_json(policy: HopperPolicy, figures: dict[str, float]) -> str:
+    """Write a policy with its figures as JSON, one line a key.
+
+    Parameters
+    ----------
+    policy : HopperPolicy
+        The policy.
+    figures : dict of str to float
+        How it was found, which stands under "found".
+
+    Returns
+    -------
+    str
+        The text, which ends with a new line.
+    """
     values = {name: np.asarray(value).tolist() for name, value in asdict(policy).items()}
     values["found"] = figures
     lines = [f"  {json.dumps(name)}: {json.dumps(value)}" for name, value in values.items()]

@@ -53,12 +53,36 @@ def item(table: str, kind: str, seed: int, size: Size, **more: Any) -> Item:
         How large the study is.
     **more
         What else the task takes, such as `method`.
+
+    Returns
+    -------
+    dict
+        Plain values, which name the task in the list of finished ones.
     """
     return {"table": table, "kind": kind, "seed": seed, "size": asdict(size), **more}
 
 
 def variant_item(table: str, kind: str, seed: int, size: Size, variant: Variant) -> Item:
-    """The item of a task that fits by a `variant`; the others are as of `item`."""
+    """Make the item of a task that fits by a variant of a method.
+
+    Parameters
+    ----------
+    table : str
+        "6.1", "6.2", "6.3" or `AUTHORS`.
+    kind : str
+        "clean" or "noisy".
+    seed : int
+        Seed of the data.
+    size : Size
+        How large the study is.
+    variant : Variant
+        A method with parts exchanged.
+
+    Returns
+    -------
+    dict
+        As `item` gives it, with the variant and its label as the method.
+    """
     return item(table, kind, seed, size, method=variant.label, variant=variant.to_json())
 
 
@@ -103,7 +127,7 @@ def at_hand() -> bool:
 
 
 def estimator(method: str, size: Size) -> Estimator:
-    """Builds a method by its name in the studies' tables, with its defaults.
+    """Build a method by its name in the studies' tables, with its defaults.
 
     Parameters
     ----------
@@ -111,6 +135,15 @@ def estimator(method: str, size: Size) -> Estimator:
         Its name.
     size : Size
         Settings of DROID and of the published method.
+
+    Returns
+    -------
+    Estimator
+
+    Raises
+    ------
+    KeyError
+        If no method has that name.
     """
     draws, budget, _ = size.published
     full_draws, full_budget = size.full
@@ -138,7 +171,7 @@ def estimator(method: str, size: Size) -> Estimator:
 
 
 def fitted(item: Item) -> dict[str, Any]:
-    """Fits the item's data by its `method`.
+    """Fit the item's data by its `method`.
 
     Parameters
     ----------
@@ -165,7 +198,7 @@ def fitted(item: Item) -> dict[str, Any]:
 
 
 def as_published(work: Work, item: Item) -> dict[str, Any]:
-    """Fits the item's data at the thesis' full size; see `fitted`.
+    """Fit the item's data at the thesis' full size; see `fitted`.
 
     It takes hours on all cores. What an interrupted run has evaluated is kept.
 
@@ -175,6 +208,11 @@ def as_published(work: Work, item: Item) -> dict[str, Any]:
         Keeps the evaluations.
     item : dict
         As `item` gives it.
+
+    Returns
+    -------
+    dict
+        As of `fitted`.
     """
     problem, drawn = problem_of(item, work.threads)
     made = estimator(AS_PUBLISHED, Size(**item["size"]))
@@ -188,7 +226,20 @@ def _of_sample(drawn: Array) -> dict[str, Any]:
 
 
 def found(fit: Fit) -> dict[str, Any]:
-    """What the tables keep of a fit, as plain numbers."""
+    """Collect what the tables keep of a fit, as plain numbers.
+
+    Parameters
+    ----------
+    fit : Fit
+        The fit, of d parameters and p signals.
+
+    Returns
+    -------
+    dict
+        mean, mean_se, sd, sd_se and scale as lists of d numbers in the parameters' units, epsilon
+        of p, log_likelihood [nats], mse, steps, evaluations, inner, seconds, status, and certified:
+        the parameters that are constant.
+    """
     with np.errstate(invalid="ignore", divide="ignore"):
         sd_se = fit.scale_se * np.where(fit.scale > 0, fit.sd / fit.scale, np.nan)
     arrays = {

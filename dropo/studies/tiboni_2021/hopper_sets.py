@@ -95,7 +95,7 @@ FULL = Size()
 def data_set(
     table: str, kind: str, seed: int, transitions: int = 1000, *, threads: int = 1
 ) -> tuple[Problem, Array]:
-    """Draws a data set of a table.
+    """Draw a data set of a table.
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ def data_set(
 
 
 def every(stride: int, problem: Problem) -> Problem:
-    """Thins a problem's data.
+    """Thin a problem's data.
 
     Parameters
     ----------
@@ -144,6 +144,11 @@ def every(stride: int, problem: Problem) -> Problem:
         Every `stride`-th transition stays.
     problem : Problem
         The problem.
+
+    Returns
+    -------
+    Problem
+        The same with fewer transitions.
     """
     rows = np.arange(0, len(problem.trajectories), stride)
     return replace(problem, trajectories=problem.trajectories.rows(rows), everything=None)

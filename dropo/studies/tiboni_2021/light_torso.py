@@ -59,7 +59,7 @@ class Training:
 
 
 def estimator(method: str, droid: int) -> Estimator:
-    """Builds a method as in table 6.4; the tuned epsilon is one of those that it compares.
+    """Build a method as in table 6.4; the tuned epsilon is one of those that it compares.
 
     Parameters
     ----------
@@ -67,6 +67,15 @@ def estimator(method: str, droid: int) -> Estimator:
         One of `FITTED`.
     droid : int
         Evaluations of DROID.
+
+    Returns
+    -------
+    Estimator
+
+    Raises
+    ------
+    KeyError
+        If the table has no such method.
     """
     methods: dict[str, Estimator] = {
         PUBLISHED: DROPO(epsilon=EPSILONS[0]),
@@ -78,7 +87,7 @@ def estimator(method: str, droid: int) -> Estimator:
 
 
 def found(item: Item) -> dict[str, Any]:
-    """Finds a distribution by its name.
+    """Find a distribution by its name.
 
     Parameters
     ----------
@@ -181,7 +190,7 @@ def extended_model(effects: list[list[Any]]) -> Problem:
 
 
 def trained(item: Item) -> dict[str, Any]:
-    """Trains a policy under a distribution, and evaluates it on the target.
+    """Train a policy under a distribution, and evaluate it on the target.
 
     Policies of the same seed share their search directions; all of them share the target's starts.
     What policies see has no noise.

@@ -174,7 +174,7 @@ def _centre(runs: list[dict[str, Any]]) -> str:
 
 
 def pushed(item: Item) -> dict[str, Any]:
-    """Fits the item's distribution, searches its policy, and tries it on the target.
+    """Fit the item's distribution, search its policy, and try it on the target.
 
     Parameters
     ----------

@@ -50,6 +50,11 @@ def means(title: str, rows: Rows, table: str, kind: str) -> Table:
         Fits by method.
     table, kind : str
         The thesis' table and data, whose numbers stand beneath.
+
+    Returns
+    -------
+    Table
+        The drawn sample, then a row for each method, the thesis' own beneath it.
     """
     first = next(iter(rows.values()))
     lines = [("drawn sample", *(f"{v:.4f}" for v in first["drawn_mean"]), "-", "-", "-")]
@@ -77,6 +82,11 @@ def spreads(title: str, rows: Rows, table: str, kind: str) -> Table:
         Fits by method.
     table, kind : str
         The thesis' table and data, whose numbers stand beneath.
+
+    Returns
+    -------
+    Table
+        The drawn sample, then a row for each method, the thesis' own beneath it.
     """
     first = next(iter(rows.values()))
     lines = [("drawn sample", *(number(v, 3) for v in first["drawn_sd"]))]
@@ -99,6 +109,11 @@ def over_data_sets(title: str, found: dict[str, list[dict[str, Any]]]) -> Table:
         What the data are.
     found : dict
         Fits of each data set by method.
+
+    Returns
+    -------
+    Table
+        A row for each mass, by method and by mean or standard deviation [kg].
     """
     lines = []
     for method, rows in found.items():
@@ -135,6 +150,11 @@ def costs(title: str, found: dict[str, list[dict[str, Any]]]) -> Table:
         What the data are.
     found : dict
         Fits of each data set by method.
+
+    Returns
+    -------
+    Table
+        Simulator steps and seconds, a row for each method.
     """
     lines = []
     for method, rows in found.items():
@@ -167,6 +187,11 @@ def comparison_of(
         Fits of each data set by method, the variants' by their labels.
     variants : sequence of Variant
         Methods with parts exchanged.
+
+    Returns
+    -------
+    list of Table
+        One table, or none.
     """
     if not variants:
         return []
@@ -190,6 +215,11 @@ def likelihoods(title: str, distributions: dict[str, dict[str, float]], draws: i
         simulator and emulator at the same draws.
     draws : int
         Number of these draws.
+
+    Returns
+    -------
+    Table
+        Log-likelihoods [nats], a row for each distribution.
     """
     header = (
         "log-likelihood [nat]",

@@ -141,7 +141,7 @@ def sliding_study(
 
 
 def slid(item: Item) -> dict[str, Any]:
-    """Fits the item's distribution, makes its policy, and runs it on the target.
+    """Fit the item's distribution, make its policy, and run it on the target.
 
     Parameters
     ----------

@@ -34,5 +34,10 @@ def table_6_3(
         Methods with parts exchanged, beside the others.
     size : Size
         How large the study is.
+
+    Returns
+    -------
+    Study
+        Means, spreads and costs by method, without and with noise.
     """
     return recovered("table-6.3", "6.3", work, seeds, published, size, variants, full=full)

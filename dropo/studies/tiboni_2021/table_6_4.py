@@ -138,7 +138,7 @@ def light_torso(item: Item) -> Problem:
 
 
 def light(item: Item) -> dict[str, Any]:
-    """Fits the item's data with the torso too light.
+    """Fit the item's data with the torso too light.
 
     Parameters
     ----------

@@ -61,12 +61,23 @@ def items(fits: int, bounds: int, size: Item, *, published: bool) -> list[Item]:
 
 
 def data_set(item: Item) -> int:
-    """The seed of the item's data; methods that fit nothing take the first data set."""
+    """Give the seed of an item's data.
+
+    Parameters
+    ----------
+    item : dict
+        The item of a task, with its number and method.
+
+    Returns
+    -------
+    int
+        The number of the run; 0, the first data set, for methods that fit nothing.
+    """
     return int(item["number"]) if item["method"] in (*FITTED, PUBLISHED) else 0
 
 
 def estimator(item: Item, draws: int, epsilon: float) -> Estimator | None:
-    """Builds the item's method.
+    """Build the item's method.
 
     Parameters
     ----------
@@ -144,7 +155,20 @@ def distribution(
 
 
 def by_method(runs: Sequence[Result], key: str) -> dict[str, Array]:
-    """For each method the numbers that its runs have under a key, a row a run."""
+    """Collect for each method the numbers that its runs have under a key.
+
+    Parameters
+    ----------
+    runs : sequence of dict
+        Answers of tasks, with their method.
+    key : str
+        Under which a number or a list of numbers stands.
+
+    Returns
+    -------
+    dict of str to array
+        By method, a row for each run.
+    """
     rows: dict[str, list[Any]] = {}
     for run in runs:
         rows.setdefault(run["method"], []).append(run[key])
@@ -177,16 +201,37 @@ def by_unit(runs: Sequence[Result], key: str) -> dict[str, Array]:
 
 
 def mean_and_error(units: Array) -> tuple[float, float]:
-    """The mean of units (n,) and its standard error; NaN if there is one unit."""
+    """Compute a mean and its standard error.
+
+    Parameters
+    ----------
+    units : (n,) array
+        Independent values, of any unit.
+
+    Returns
+    -------
+    mean, error : float
+        In the same unit; the error is NaN of a single value.
+    """
     if len(units) == 1:
         return float(units.mean()), np.nan
     return float(units.mean()), float(units.std(ddof=1) / np.sqrt(len(units)))
 
 
 def apart(one: Array, other: Array) -> float:
-    """How many standard errors the mean of `other` (m,) lies above that of `one` (n,).
+    """Compute how many standard errors one mean lies above another.
 
-    NaN if either is a single unit.
+    Parameters
+    ----------
+    one : (n,) array
+        Independent values.
+    other : (m,) array
+        Independent values, whose mean is compared with that of `one`.
+
+    Returns
+    -------
+    float
+        The difference of the means in its standard error; NaN if either is a single value.
     """
     one_mean, one_error = mean_and_error(one)
     other_mean, other_error = mean_and_error(other)
@@ -307,7 +352,18 @@ def found(
 
 
 def cost(runs: Sequence[Result]) -> Table:
-    """Simulator steps of fits, and of the policies made for them: medians over runs."""
+    """Tabulate simulator steps of fits, and of the policies made for them.
+
+    Parameters
+    ----------
+    runs : sequence of dict
+        Answers of tasks, with their steps.
+
+    Returns
+    -------
+    Table
+        Medians over runs, a row for each method.
+    """
     policies = by_method(runs, "policy_steps")
     lines = []
     for method, fits in by_method(runs, "steps").items():
@@ -348,7 +404,7 @@ def verdict(runs: Sequence[Result], target: float) -> tuple[str, str]:
 
 
 def draw(figure: Any, runs: Sequence[Result]) -> None:
-    """Draws each run's mean distance to the goal by method, and their mean.
+    """Draw each run's mean distance to the goal by method, and their mean.
 
     Parameters
     ----------

@@ -58,7 +58,18 @@ class Machine:
     frame_skip: int
 
     def simulator(self, observation: tuple[str, ...] = ("qpos", "qvel")) -> MujocoSimulator:
-        """Make its simulator, on one thread."""
+        """Make the machine's simulator, on one thread.
+
+        Parameters
+        ----------
+        observation : tuple of str
+            Fields of the state that are observed.
+
+        Returns
+        -------
+        MujocoSimulator
+            With the machine's parameters.
+        """
         spec = mujoco.MjSpec.from_string(self.xml)
         return MujocoSimulator(
             spec, self.parameters, observation=observation, frame_skip=self.frame_skip, threads=1

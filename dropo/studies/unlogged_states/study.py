@@ -24,10 +24,12 @@ class UnloggedStatesSettings:
 
     Attributes
     ----------
-    development, evaluation : int
-        Logs of each case that were at hand while the method was written, and others.
+    development : int
+        Number of logs of each case that were at hand while the method was written.
+    evaluation : int
+        Number of other logs of each case.
     controls : int
-        Of the evaluation's logs, so many are fitted from measured states too.
+        Number of the evaluation's logs that are fitted from measured states too.
     first_evaluation : int
         The first seed of the evaluation; the development's begin at 0.
     accepted : (float, float)

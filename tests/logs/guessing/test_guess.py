@@ -9,7 +9,8 @@ import pytest
 
 from dropo.core.services.errors import BadFile, Incompatible
 from dropo.logs.guessing.base import moving_base
-from dropo.logs.guessing.guess import Guess, guess_mapping
+from dropo.logs.guessing.guess import guess_mapping
+from dropo.logs.guessing.guessed import Guess
 from dropo.logs.guessing.words import read_name
 from dropo.logs.readers.reader import open_log
 from dropo.mjmodel.joints import ModelJoints, model_joints
@@ -214,6 +215,18 @@ def test_what_is_not_clear_is_asked(tmp_path: Path) -> None:
     assert {entry["unit"] for entry in found.mapping["qpos"].values()} == {"deg"}
     found = guess(tmp_path, columns, free, given={"qpos": {"left_hip": {"unit": "deg"}}})
     assert found.undecided == []
+
+
+def test_stamps_may_begin_anew_in_each_run(tmp_path: Path) -> None:
+    """Two recordings of one file, each with stamps from 0 on."""
+    twice = {
+        name: np.tile(values, 2)
+        for name, values in {"time": TIME, "left_hip": HIP, "left_knee": KNEE}.items()
+    }
+    found = guess(tmp_path, {"run": np.repeat([0, 1], len(TIME)), **twice})
+    assert found.mapping["time"] == {"column": "time", "unit": "s"}
+    assert found.mapping["run"] == {"column": "run"}
+    assert not found.undecided
 
 
 def test_no_time_is_not_decided(tmp_path: Path) -> None:

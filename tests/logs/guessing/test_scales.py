@@ -64,3 +64,13 @@ def test_commands_are_in_the_unit_that_the_joint_follows() -> None:
     assert command_unit(np.degrees(wanted), logged, None, position).unit == "deg"
     assert command_unit(wanted, logged, None, position).unit == "rad"
     assert command_unit(wanted, logged, "deg", position).why == "its name says so"
+
+
+@pytest.mark.parametrize("unit", ["m", "cm", "mm"])
+def test_commands_of_a_slide_have_a_unit_of_their_own(unit: str) -> None:
+    """Metres beside positions in millimetres, say."""
+    wanted = 0.04 * np.sin(2 * TIME) - 0.05
+    logged = 1e3 * (0.04 * np.sin(2 * TIME - 0.1) - 0.05)
+    commands = wanted / {"m": 1.0, "cm": 1e-2, "mm": 1e-3}[unit]
+    position = Scale("mm", "its name says so")
+    assert command_unit(commands, logged, None, position).unit == unit

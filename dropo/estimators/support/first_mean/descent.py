@@ -15,17 +15,19 @@ class DescentSettings:
     Attributes
     ----------
     rounds : int
-        Steps of each descent at most, failed ones included.
+        A descent has so many steps at most, failed ones included.
     longest : float
         Longest step in a coordinate, as a fraction of the unit box.
     tolerance : float
-        A descent ends where a step gains less than this [nats] ...
+        A descent ends where a step gains less than this [nats].
     hopeless : float
-        ... or where even this damping, in units of the curvature, gains nothing.
+        A descent ends where even this damping, in units of the curvature, gains nothing.
     first_damping : float
-        Of the first step.
-    more, less : float
-        Factors of the damping behind a step that failed, and one that gained.
+        Damping of the first step, in units of the curvature.
+    more : float
+        The damping is multiplied by this factor behind a step that failed.
+    less : float
+        The damping is multiplied by this factor behind a step that gained.
     """
 
     rounds: int = 15

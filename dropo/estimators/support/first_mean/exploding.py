@@ -22,16 +22,16 @@ class ExplodingSettings:
         A prediction that is off by more than so many ranges of its signal has blown up; of signals
         that do not vary, by more than so many units.
     points : int
-        Points around an estimate that are tried, a power of 2.
+        So many points around an estimate are tried, a power of 2.
     width : float
         Half width of the box that they fill, as a fraction of each parameter's interval.
     often : int
-        A segment blows up at the estimate, or at so many of the points around.
+        A segment blows up that does so at the estimate, or at so many of the points around.
     most : float
         Where more than this share of the segments blows up, the model is wrong, and none is left
         out.
     named : int
-        So many are named.
+        A warning names so many of the segments.
     """
 
     far: float = 100.0

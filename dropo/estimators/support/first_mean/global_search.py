@@ -27,18 +27,21 @@ class GlobalSearchSettings:
     Attributes
     ----------
     points : int
-        Points of the box, a power of 2.
+        So many points of the box are tried, a power of 2.
     many : int
         From so many parameters on, there are twice as many points, of which one is searched from,
         and one further: each search costs more than there.
-    segments, steps : int
-        Segments that are simulated from each point: so many, or as many short ones as have no more
-        steps, up to so many.
+    segments : int
+        So many segments are simulated from each point, or as many short ones as have no more
+        control steps together.
+    steps : int
+        So many short segments are simulated at most.
     descents : bool
         Whether there are searches at all, or the best point is taken as it is.
-    searches, further : int
-        Searches from the best points; and once more from so many, where only one of the first ended
-        in the best optimum.
+    searches : int
+        Searches begin from so many of the best points.
+    further : int
+        So many more begin where only one of the first ended in the best optimum.
     apart : float
         Least distance of the points where searches begin, in the unit box.
     alike : float
@@ -50,11 +53,11 @@ class GlobalSearchSettings:
     worse : float
         A fit is worse than the best optimum by more than this for each compared number [nats].
     line : int
-        Points along each parameter on which maxima are counted.
+        Maxima are counted on so many points along each parameter.
     repeats : int
         So many maxima along a parameter are named.
     stretch : int
-        From one length of segments to the next.
+        Segments become longer by this factor, from one length to the next.
     follow : DescentSettings
         How an optimum is followed from one length to the next.
     """
@@ -77,7 +80,20 @@ class GlobalSearchSettings:
     follow: DescentSettings = field(default_factory=lambda: DescentSettings(rounds=5))
 
     def searched(self, d: int) -> tuple[int, int]:
-        """Return from how many points the box of d parameters is searched, and how many further."""
+        """Return from how many points the box is searched.
+
+        Parameters
+        ----------
+        d : int
+            Number of parameters.
+
+        Returns
+        -------
+        first : int
+            Searches at first.
+        further : int
+            How many more there are, where only one of the first ended in the best optimum.
+        """
         return (1, 1) if d >= self.many else (self.searches, self.further)
 
 
@@ -118,7 +134,20 @@ class GlobalStart:
         return None if self.agreed else self.near
 
     def is_better_than(self, mean: Array, settings: GlobalSearchSettings = SETTINGS) -> bool:
-        """Return whether the best optimum explains the data better than a fitted mean (d,)."""
+        """Return whether the best optimum explains the data better than a fitted mean.
+
+        Parameters
+        ----------
+        mean : (d,) array
+            In the parameters' units.
+        settings : GlobalSearchSettings
+            By how much the misfit must differ.
+
+        Returns
+        -------
+        bool
+            False where it differs by chance alone.
+        """
         found = float(self.misfit.at(self.misfit.unit_of(mean[None]))[0])
         return found > self.least + settings.alike + settings.worse * self.misfit.targets.size
 
@@ -201,7 +230,7 @@ def best_start(
         _reached(values, settings) == len(values),
         misfit,
         float(values[best]),
-        _doubts(misfit, points, values, settings),
+        _warnings(misfit, points, values, settings),
     )
 
 
@@ -266,7 +295,7 @@ def _reached(values: Array, settings: GlobalSearchSettings) -> int:
     return int(np.sum(values <= values.min() + settings.alike))
 
 
-def _doubts(
+def _warnings(
     misfit: Misfit, points: Array, values: Array, settings: GlobalSearchSettings
 ) -> tuple[str, ...]:
     """A sentence where the best optimum was found once alone, or has an equal elsewhere."""

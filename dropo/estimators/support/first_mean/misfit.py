@@ -28,11 +28,12 @@ class MisfitSettings:
         count alike.
     step : float
         Step of the differences, as a fraction of the unit box.
-    errors, widest : float
-        An optimum is so many of its own standard errors wide, and at most this fraction of the unit
-        box.
+    errors : float
+        An optimum is so many of its own standard errors wide.
+    widest : float
+        It is at most this fraction of the unit box wide.
     ridge : float
-        What is added to a curvature of unit diagonal before it is inverted.
+        This is added to a curvature of unit diagonal before it is inverted.
     floats : int
         Numbers that one batch of simulations may hold.
     """
@@ -114,7 +115,18 @@ class Misfit:
         self.far = settings.far * np.maximum(reach, spread)
 
     def values_of(self, unit: Array) -> Array:
-        """Return parameters (K, d) of points (K, d) of the unit box."""
+        """Map points of the unit box to parameters.
+
+        Parameters
+        ----------
+        unit : (K, d) array
+            Points; those outside the box are moved to its edge.
+
+        Returns
+        -------
+        (K, d) array
+            In the parameters' units.
+        """
         unit = np.clip(unit, 0.0, 1.0)
         base = np.where(self.in_logarithms, self.low, 1.0)
         ratio = np.where(self.in_logarithms, self.high / base, 1.0)
@@ -123,7 +135,18 @@ class Misfit:
         return np.asarray(np.clip(values, self.low, self.high))
 
     def unit_of(self, values: Array) -> Array:
-        """Return points (K, d) of the unit box, of parameters (K, d)."""
+        """Map parameters to points of the unit box.
+
+        Parameters
+        ----------
+        values : (K, d) array
+            In the parameters' units.
+
+        Returns
+        -------
+        (K, d) array
+            The points of which `values_of` makes them.
+        """
         base = np.where(self.in_logarithms, self.low, 1.0)
         ratio = np.where(self.in_logarithms, self.high / base, math.e)
         logarithm = np.log(np.where(self.in_logarithms, values, 1.0) / base) / np.log(ratio)
@@ -131,7 +154,18 @@ class Misfit:
         return np.asarray(np.where(self.in_logarithms, logarithm, linear))
 
     def width_at(self, unit: Array) -> Array:
-        """Return how wide an optimum (d,) is, in the parameters' units (d,)."""
+        """Return how wide an optimum is, from the curvature there.
+
+        Parameters
+        ----------
+        unit : (d,) array
+            The optimum, a point of the unit box.
+
+        Returns
+        -------
+        (d,) array
+            Half widths, in the parameters' units.
+        """
         curvature = self.slopes(unit[None]).curvature[0]
         size = np.sqrt(np.maximum(np.diagonal(curvature), 1e-12))
         scaled = curvature / np.outer(size, size) + self.settings.ridge * np.eye(len(size))
@@ -159,7 +193,18 @@ class Misfit:
         return [slice(i, i + size) for i in range(0, points, size)]
 
     def at(self, unit: Array) -> Array:
-        """Return the misfit (K,) at points (K, d)."""
+        """Evaluate the misfit.
+
+        Parameters
+        ----------
+        unit : (K, d) array
+            Points of the unit box.
+
+        Returns
+        -------
+        (K,) array
+            In nats.
+        """
         found = np.empty(len(unit))
         with self.run.counting(evaluations=1):
             for part in self._batches(len(unit), 1):
@@ -167,7 +212,18 @@ class Misfit:
         return found
 
     def slopes(self, unit: Array) -> Slopes:
-        """Return the misfit with its slopes at points (K, d), by differences into the box."""
+        """Differentiate the misfit by one-sided differences into the box.
+
+        Parameters
+        ----------
+        unit : (K, d) array
+            Points of the unit box.
+
+        Returns
+        -------
+        Slopes
+            Value, gradient and Gauss-Newton curvature at each point.
+        """
         k, d = unit.shape
         step = np.where(unit > 0.5, -self.settings.step, self.settings.step)
         around = unit[:, None] + np.concatenate(

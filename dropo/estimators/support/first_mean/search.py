@@ -48,7 +48,18 @@ class Searched:
     width: Array | None = None
 
     def mean(self, family: Family) -> Array:
-        """Return the means (d,) that were found."""
+        """Return the means that were found.
+
+        Parameters
+        ----------
+        family : Family
+            In which the search was.
+
+        Returns
+        -------
+        (d,) array
+            In the parameters' units.
+        """
         return family.mean(self.found.point[: len(family.unknowns)])
 
 
@@ -95,7 +106,8 @@ def search_from(
     except SimulationFailed:
         # Most of the box may explode.
         elsewhere = best_start(problem, run, mean, settings)
-        mean, width = elsewhere.best, elsewhere.width
+        mean = elsewhere.best
+        width = elsewhere.width
         try:
             done = Searched(problem, noise, *search(problem, noise, mean, width))
         except SimulationFailed:

@@ -1,4 +1,6 @@
 """Whole runs with start states that are estimated: windows, linearization, noise levels.
 
-Contents are found by name; nothing is exported here.
+They import `core` and `dropo.likelihoods.support` alone, and no likelihood by name.
+A new part is a file with functions on windows and their columns; `dropo.likelihoods.trajectory`
+puts them together.
 """

@@ -7,7 +7,7 @@ import numpy as np
 from dropo.core.numerics.tails import student_log_density
 from dropo.core.services.validation import Array
 from dropo.likelihoods.support.runs.linearization import Columns
-from dropo.likelihoods.support.runs.noise_levels import NoiseLaw, follows, whiten
+from dropo.likelihoods.support.runs.noise_levels import NoiseDistribution, follows, whiten
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,13 +35,13 @@ class Condensed:
     start_by_value: Array
 
 
-def condense(columns: Columns, law: NoiseLaw, prior: Array, starts: Array) -> Condensed:
+def condense(columns: Columns, noise: NoiseDistribution, prior: Array, starts: Array) -> Condensed:
     """Eliminate the starts of all pieces.
 
     Parameters
     ----------
     columns : Columns
-    law : NoiseLaw
+    noise : NoiseDistribution
     prior : (s,) array
         Information of the prior on each start, whose mean is an offset of 0.
     starts : (P, s) array
@@ -52,10 +52,10 @@ def condense(columns: Columns, law: NoiseLaw, prior: Array, starts: Array) -> Co
     Condensed
     """
     s = columns.states
-    z = whiten(columns, law)
+    z = whiten(columns, noise)
     residual = z[:, :, -1]
-    weights = law.weights(residual**2)
-    kappa = law.information[:, None]
+    weights = noise.weights(residual**2)
+    kappa = noise.information[:, None]
     change = np.append(True, columns.piece[1:] != columns.piece[:-1])
     bounds = np.append(np.flatnonzero(change), len(change))
     count = len(bounds) - 1
@@ -65,7 +65,7 @@ def condense(columns: Columns, law: NoiseLaw, prior: Array, starts: Array) -> Co
     information = np.empty((count, d, d))
     step = np.empty((count, s))
     by_value = np.empty((count, s, d))
-    values = log_densities(columns, law)
+    values = log_densities(columns, noise)
     for p in range(count):
         rows = slice(bounds[p], bounds[p + 1])
         a = z[rows, :, :s]
@@ -88,24 +88,24 @@ def condense(columns: Columns, law: NoiseLaw, prior: Array, starts: Array) -> Co
     return Condensed(scores, information, values, step, by_value)
 
 
-def log_densities(columns: Columns, law: NoiseLaw) -> Array:
+def log_densities(columns: Columns, noise: NoiseDistribution) -> Array:
     """Evaluate the log density of every instant, from the starts and parameters as they are.
 
     Parameters
     ----------
     columns : Columns
-    law : NoiseLaw
+    noise : NoiseDistribution
 
     Returns
     -------
     (T,) array
         Of what is new at each instant [nats].
     """
-    residual = whiten(columns, law)[:, :, -1]
-    finite = np.isfinite(law.degrees)
-    nu = np.where(finite, law.degrees, 5.0)
+    residual = whiten(columns, noise)[:, :, -1]
+    finite = np.isfinite(noise.degrees)
+    nu = np.where(finite, noise.degrees, 5.0)
     gaussian = -0.5 * residual**2 - 0.5 * np.log(2 * np.pi)
     own = np.where(finite, student_log_density(residual, nu), gaussian)
-    shrink = 0.5 * np.log1p(-(law.memory**2))
-    own = own - np.log(law.sd) - np.where(follows(columns), shrink, 0.0)
+    shrink = 0.5 * np.log1p(-(noise.memory**2))
+    own = own - np.log(noise.sd) - np.where(follows(columns), shrink, 0.0)
     return np.asarray(np.where(columns.valid, own, 0.0).sum(axis=1))

@@ -28,20 +28,21 @@ class NoiseSettings:
     fewest : int
         Numbers of a signal below which its noise is taken as white and normal.
     memory : (float, float)
-        Where the correlation of neighbours is searched.
+        Ends of the interval in which the correlation of neighbouring instants is searched.
     degrees : tuple of float
-        Degrees of freedom that are tried.
+        Degrees of freedom of a Student t that are tried.
     sweeps : int
         Rounds over the signals in which memory is looked for, as what one signal's memory is
         depends on the others'.
     steady : float
-        They end where no correlation changes by more than this.
+        The rounds over the signals end where no correlation changes by more than this.
     inner : int
         Passes over the standard deviations for each memory that is tried.
     passes : int
         Passes over the standard deviations, at most.
     tolerance : float
-        They end where no variance changes by more than this fraction.
+        The passes over the standard deviations end where no variance changes by more than this
+        fraction.
     free : float
         Least fraction of a residual's variance that starts and parameters leave: below it a
         residual says nothing of the noise.
@@ -63,7 +64,7 @@ class NoiseSettings:
 
 
 @dataclass(frozen=True, eq=False)
-class NoiseLaw:
+class NoiseDistribution:
     """The noise of m signals.
 
     Attributes
@@ -117,8 +118,8 @@ class NoiseLaw:
         return np.where(finite, (nu + 1) / (nu + squares), 1.0)
 
 
-def white(sd: Array, degrees: float | None = None) -> NoiseLaw:
-    """Make the law of noise without memory.
+def white(sd: Array, degrees: float | None = None) -> NoiseDistribution:
+    """Make the distribution of noise without memory.
 
     Parameters
     ----------
@@ -128,19 +129,19 @@ def white(sd: Array, degrees: float | None = None) -> NoiseLaw:
 
     Returns
     -------
-    NoiseLaw
+    NoiseDistribution
     """
     nu = np.inf if degrees is None else degrees
-    return NoiseLaw(sd, np.zeros_like(sd), np.full_like(sd, nu))
+    return NoiseDistribution(sd, np.zeros_like(sd), np.full_like(sd, nu))
 
 
-def whiten(columns: Columns, law: NoiseLaw) -> Array:
+def whiten(columns: Columns, noise: NoiseDistribution) -> Array:
     """Take memory and size out of all columns, along each piece.
 
     Parameters
     ----------
     columns : Columns
-    law : NoiseLaw
+    noise : NoiseDistribution
 
     Returns
     -------
@@ -149,15 +150,26 @@ def whiten(columns: Columns, law: NoiseLaw) -> Array:
     """
     matrix = columns.matrix
     out = matrix.copy()
-    if law.memory.any():
-        rho = law.memory[:, None]
+    if noise.memory.any():
+        rho = noise.memory[:, None]
         after = (matrix[1:] - rho * matrix[:-1]) / np.sqrt(1 - rho**2)
         out[1:] = np.where(follows(columns)[1:, :, None], after, matrix[1:])
-    return np.asarray(out / law.sd[:, None])
+    return np.asarray(out / noise.sd[:, None])
 
 
 def follows(columns: Columns) -> NDArray[np.bool_]:
-    """Tell which numbers (T, m) have one of the same signal and piece just before them."""
+    """Tell which numbers have one of the same signal and piece just before them.
+
+    Parameters
+    ----------
+    columns : Columns
+        T instants of m signals, in pieces.
+
+    Returns
+    -------
+    (T, m) array of bool
+        False at the first instant of a piece, and where either is missing.
+    """
     same = np.append(False, columns.piece[1:] == columns.piece[:-1])
     before = np.roll(columns.valid, 1, axis=0)
     return np.asarray(same[:, None] & before & columns.valid)
@@ -194,23 +206,23 @@ class RestrictedEstimates:
         spread = np.sqrt(np.mean(columns.residuals**2, axis=0))
         self.lowest = np.maximum(settings.rounding * spread, 1e-150)
 
-    def levels(self, law: NoiseLaw) -> NoiseLaw:
+    def levels(self, noise: NoiseDistribution) -> NoiseDistribution:
         """Estimate the standard deviations, with memory and tails as they are.
 
         Parameters
         ----------
-        law : NoiseLaw
+        noise : NoiseDistribution
 
         Returns
         -------
-        NoiseLaw
+        NoiseDistribution
         """
-        unit = whiten(self.columns, replace(law, sd=np.ones_like(law.sd)))
+        unit = whiten(self.columns, replace(noise, sd=np.ones_like(noise.sd)))
         grams = self._grams(unit)
-        tailed = np.isfinite(law.degrees)
-        sd = law.sd
+        tailed = np.isfinite(noise.degrees)
+        sd = noise.sd
         for _ in range(self.settings.passes):
-            now = replace(law, sd=sd)
+            now = replace(noise, sd=sd)
             if tailed.any():
                 new = self._scaled_by_weights(now, unit, grams)
             else:
@@ -220,31 +232,31 @@ class RestrictedEstimates:
             sd = new
             if change < self.settings.tolerance:
                 break
-        return replace(law, sd=sd)
+        return replace(noise, sd=sd)
 
-    def choose(self, law: NoiseLaw) -> NoiseLaw:
+    def choose(self, noise: NoiseDistribution) -> NoiseDistribution:
         """Find the signals whose noise has memory or long tails.
 
         Parameters
         ----------
-        law : NoiseLaw
+        noise : NoiseDistribution
             White noise.
 
         Returns
         -------
-        NoiseLaw
+        NoiseDistribution
             With memory and degrees of freedom where they gain.
         """
-        law = self.levels(law)
+        noise = self.levels(noise)
         enough = np.flatnonzero(self.counts >= self.settings.fewest).tolist()
         for _ in range(self.settings.sweeps):
-            before = law.memory
+            before = noise.memory
             for j in enough:
-                law = self._with_memory(law, j)
-            law = self.levels(law)
-            if np.max(np.abs(law.memory - before)) < self.settings.steady:
+                noise = self._with_memory(noise, j)
+            noise = self.levels(noise)
+            if np.max(np.abs(noise.memory - before)) < self.settings.steady:
                 break
-        return self.levels(self._with_tails(law))
+        return self.levels(self._with_tails(noise))
 
     # --- white noise and memory: the restricted likelihood
 
@@ -256,44 +268,44 @@ class RestrictedEstimates:
             parts.append(own.swapaxes(1, 2) @ own)
         return np.stack(parts)
 
-    def _solve(self, law: NoiseLaw, grams: Array) -> _Solution:
+    def _solve(self, noise: NoiseDistribution, grams: Array) -> _Solution:
         """Starts and parameters of every piece, and the restricted log-likelihood."""
-        total = np.tensordot(grams, law.information / law.sd**2, axes=([1], [0]))  # (P, c, c)
+        total = np.tensordot(grams, noise.information / noise.sd**2, axes=([1], [0]))  # (P, c, c)
         known = total[:, :-1, :-1] + self.prior
         right = total[:, :-1, -1]
         inverse = np.linalg.inv(known)
         solved = np.asarray((inverse @ right[:, :, None])[:, :, 0], dtype=float)
         v: Array = np.concatenate([-solved, np.ones((len(solved), 1))], axis=1)
         left = total[:, -1, -1].sum() - np.sum(right * solved)
-        value = -np.sum(self.counts * np.log(law.sd)) - 0.5 * left
-        value -= 0.5 * np.sum(self.followers * np.log1p(-(law.memory**2)))
+        value = -np.sum(self.counts * np.log(noise.sd)) - 0.5 * left
+        value -= 0.5 * np.sum(self.followers * np.log1p(-(noise.memory**2)))
         value -= 0.5 * np.linalg.slogdet(known)[1].sum()
         return _Solution(np.asarray(inverse, dtype=float), v, float(value))
 
-    def _scaled_by_leverage(self, law: NoiseLaw, grams: Array) -> Array:
+    def _scaled_by_leverage(self, noise: NoiseDistribution, grams: Array) -> Array:
         """(m,) sum of squares over numbers less leverages, of every signal."""
-        found = self._solve(law, grams)
+        found = self._solve(noise, grams)
         squares = np.einsum("pa,pmab,pb->m", found.v, grams, found.v)
-        leverage = np.einsum("pab,pmba->m", found.inverse, grams[:, :, :-1, :-1]) / law.sd**2
+        leverage = np.einsum("pab,pmba->m", found.inverse, grams[:, :, :-1, :-1]) / noise.sd**2
         left = np.maximum(self.counts - leverage, self.settings.free * self.counts)
         return np.asarray(np.sqrt(squares / np.maximum(left, 1.0)))
 
-    def _with_memory(self, law: NoiseLaw, j: int) -> NoiseLaw:
-        """The law with memory of signal j, if that gains enough."""
+    def _with_memory(self, noise: NoiseDistribution, j: int) -> NoiseDistribution:
+        """The distribution with memory of signal j, if that gains enough."""
         columns = replace(
             self.columns,
             matrix=self.columns.matrix[:, [j]],
             valid=self.columns.valid[:, [j]],
         )
-        grams = self._grams(whiten(self.columns, replace(law, sd=np.ones_like(law.sd))))
+        grams = self._grams(whiten(self.columns, replace(noise, sd=np.ones_like(noise.sd))))
 
-        def fitted(rho: float) -> tuple[NoiseLaw, float]:
-            """The law with that memory and the sd that it needs, and its log-likelihood."""
-            one = NoiseLaw(np.ones(1), np.array([rho]), np.full(1, np.inf))
+        def fitted(rho: float) -> tuple[NoiseDistribution, float]:
+            """The one with that memory and the sd that it needs, and its log-likelihood."""
+            one = NoiseDistribution(np.ones(1), np.array([rho]), np.full(1, np.inf))
             grams[:, [j]] = self._grams(whiten(columns, one))
-            memory = law.memory.copy()
+            memory = noise.memory.copy()
             memory[j] = rho
-            own = replace(law, memory=memory)
+            own = replace(noise, memory=memory)
             for _ in range(self.settings.inner):
                 sd = np.maximum(self._scaled_by_leverage(own, grams), self.lowest)
                 own = replace(own, sd=sd)
@@ -312,23 +324,23 @@ class RestrictedEstimates:
     # --- tails: the likelihood of residuals corrected for their leverage
 
     def _corrected(
-        self, law: NoiseLaw, unit: Array, grams: Array
+        self, noise: NoiseDistribution, unit: Array, grams: Array
     ) -> tuple[Array, NDArray[np.bool_]]:
         """(T, m) residuals in standard deviations, and which of them say something."""
         weighted = grams
-        if np.isfinite(law.degrees).any():
+        if np.isfinite(noise.degrees).any():
             # One pass of weights at the present residuals.
-            rough = self._residuals(self._solve(law, grams), unit) / law.sd
-            weights = law.weights(rough**2) / law.information
+            rough = self._residuals(self._solve(noise, grams), unit) / noise.sd
+            weights = noise.weights(rough**2) / noise.information
             weighted = self._grams(unit * np.sqrt(weights)[:, :, None])
-        found = self._solve(law, grams)
-        v = self._solve(law, weighted).v
-        e = self._residuals(replace(found, v=v), unit) / law.sd
+        found = self._solve(noise, grams)
+        v = self._solve(noise, weighted).v
+        e = self._residuals(replace(found, v=v), unit) / noise.sd
         share = np.empty_like(e)
         for p, (first, last) in enumerate(zip(self.bounds[:-1], self.bounds[1:], strict=True)):
             own = unit[first:last, :, :-1]
             share[first:last] = np.einsum("tma,ab,tmb->tm", own, found.inverse[p], own)
-        share *= law.information / law.sd**2
+        share *= noise.information / noise.sd**2
         telling = self.columns.valid & (share < 1 - self.settings.free)
         return e / np.sqrt(np.maximum(1 - share, self.settings.free)), telling
 
@@ -337,18 +349,18 @@ class RestrictedEstimates:
         label = np.repeat(np.arange(len(self.bounds) - 1), np.diff(self.bounds))
         return np.einsum("tmc,tc->tm", unit, found.v[label])
 
-    def _scaled_by_weights(self, law: NoiseLaw, unit: Array, grams: Array) -> Array:
+    def _scaled_by_weights(self, noise: NoiseDistribution, unit: Array, grams: Array) -> Array:
         """(m,) the scales that make weighted squares 1 on average."""
-        z, telling = self._corrected(law, unit, grams)
-        weighted = np.where(telling, law.weights(z**2) * z**2, 0.0).sum(axis=0)
-        return np.asarray(law.sd * np.sqrt(weighted / np.maximum(telling.sum(axis=0), 1)))
+        z, telling = self._corrected(noise, unit, grams)
+        weighted = np.where(telling, noise.weights(z**2) * z**2, 0.0).sum(axis=0)
+        return np.asarray(noise.sd * np.sqrt(weighted / np.maximum(telling.sum(axis=0), 1)))
 
-    def _with_tails(self, law: NoiseLaw) -> NoiseLaw:
-        """The law with a Student t for every signal where that gains enough."""
-        unit = whiten(self.columns, replace(law, sd=np.ones_like(law.sd)))
-        z, telling = self._corrected(law, unit, self._grams(unit))
-        degrees = law.degrees.copy()
-        sd = law.sd.copy()
+    def _with_tails(self, noise: NoiseDistribution) -> NoiseDistribution:
+        """The distribution with a Student t for every signal where that gains enough."""
+        unit = whiten(self.columns, replace(noise, sd=np.ones_like(noise.sd)))
+        z, telling = self._corrected(noise, unit, self._grams(unit))
+        degrees = noise.degrees.copy()
+        sd = noise.sd.copy()
         for j in np.flatnonzero(self.counts >= self.settings.fewest):
             own = z[telling[:, j], j]
             if len(own) < self.settings.fewest:
@@ -359,7 +371,7 @@ class RestrictedEstimates:
             if value - gaussian > self.settings.gain:
                 degrees[j] = nu
                 sd[j] *= scale
-        return replace(law, sd=sd, degrees=degrees)
+        return replace(noise, sd=sd, degrees=degrees)
 
 
 def _scale_of_t(z: Array, nu: float) -> tuple[float, float]:

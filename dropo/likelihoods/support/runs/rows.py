@@ -8,7 +8,7 @@ from dropo.core.numerics.array_api import is_tensor
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.validation import Array
-from dropo.likelihoods.linear import coordinates, moments_of, slopes_of_moments
+from dropo.likelihoods.support.member_moments import coordinates, moments_of, slopes_of_moments
 from dropo.likelihoods.support.runs.condensed import Condensed
 from dropo.likelihoods.support.runs.linearization import Columns
 
@@ -105,7 +105,18 @@ class RunRows(LocalLogLikelihood):
         return np.asarray(self.predicted + moved[..., 0])
 
     def modes(self, phi: Array) -> Array:
-        """Return the groups' own parameters (G, d) given all data, in the family's coordinates."""
+        """Estimate the groups' own parameters given all data.
+
+        Parameters
+        ----------
+        phi : (m,) array
+            As of `__call__`.
+
+        Returns
+        -------
+        (G, d) array
+            Modes, in the family's coordinates.
+        """
         mean, spread = moments_of(self.family, phi[: len(self.family.unknowns)])
         v = self._of_groups(phi)[1]
         return np.asarray(mean + v @ spread)

@@ -21,7 +21,7 @@ EMPTY = (240, 240, 236)
 """What is behind a robot whose model has no sky [8 bits a colour]."""
 
 
-class Stage:
+class RobotRenderer:
     """A renderer without shadows and reflections, which cost much and say nothing here.
 
     Parameters
@@ -57,8 +57,16 @@ class Stage:
         self.option = mujoco.MjvOption()
         mujoco.mjv_defaultFreeCamera(self.model, self.camera)
 
-    def look(self, camera: Camera, lookat: Array) -> None:
-        """Turn the camera as another one is, to a place (3,)."""
+    def aim(self, camera: Camera, lookat: Array) -> None:
+        """Turn the camera as another one is, to a place.
+
+        Parameters
+        ----------
+        camera : Camera
+            What distance, angles and field of view are taken from.
+        lookat : (3,) array
+            What is in the middle of the image [m].
+        """
         self.model.vis.global_.fovy = camera.fovy
         self.camera.type = self.mujoco.mjtCamera.mjCAMERA_FREE
         self.camera.lookat[:] = lookat

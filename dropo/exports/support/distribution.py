@@ -1,6 +1,6 @@
 """The distribution that draws come from, as numbers that a file of another tool can hold.
 
-`Law` is written into such files as it stands here; it needs NumPy alone.
+`FittedDistribution` is written into such files as it stands here; it needs NumPy alone.
 """
 
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ KINDS = {id(NORMAL): "normal", id(TRUNCATED_NORMAL): "truncated normal", id(UNIF
 
 
 @dataclass(frozen=True, eq=False)
-class Law:
+class FittedDistribution:
     """A distribution of d parameters: an affine map of standard components, or its exponential.
 
     Attributes
@@ -59,7 +59,23 @@ class Law:
         return bool(np.count_nonzero(self.factor - np.diag(np.diag(self.factor))))
 
     def sample(self, count: int, rng: np.random.Generator) -> Array:
-        """Draw parameter vectors (count, d), in the parameters' units."""
+        """Draw parameter vectors.
+
+        A draw outside of what is physically possible is repeated up to `REDRAWS` times, then put on
+        the bound. Standard errors of the means are added to it.
+
+        Parameters
+        ----------
+        count : int
+            How many vectors to draw.
+        rng : numpy.random.Generator
+            What random numbers come from.
+
+        Returns
+        -------
+        (count, d) array
+            The draws, in the parameters' units.
+        """
         values = self._attempt(count, rng)
         for _ in range(REDRAWS):
             bad = (values < self.lower) | (values > self.upper)
@@ -86,20 +102,28 @@ class Law:
         return np.exp(values) if self.logarithmic else values
 
 
-def law_of(fit: Fit) -> tuple[Law, tuple[str, ...]]:
-    """Find the distribution that policies are trained under: the fit's, and what is not known of
-    its means.
+def distribution_of(fit: Fit) -> tuple[FittedDistribution, tuple[str, ...]]:
+    """Find the distribution that policies are trained under.
+
+    It is the fit's, and what is not known of its means.
 
     Parameters
     ----------
     fit : Fit
-        The fit. Of a posterior of constant parameters, the spread is what is not known.
+        The fit, of d parameters. Of a posterior of constant parameters, the spread is what is not
+        known.
 
     Returns
     -------
-    law : Law
+    distribution : FittedDistribution
+        Of the d parameters, in their units.
     approximated : tuple of str
         What is not as in the fit, a sentence each.
+
+    Raises
+    ------
+    UnknownName
+        If the fit's family is not registered here, as where it is a plug-in's.
     """
     family = find("families", fit.family)(fit.space)
     bounds = (fit.space.lower, fit.space.upper)
@@ -109,8 +133,10 @@ def law_of(fit: Fit) -> tuple[Law, tuple[str, ...]]:
     names = fit.space.names
     if id(family.standard) not in KINDS:
         factor = fit.sd[:, None] * np.linalg.cholesky(fit.correlation)
-        law = Law(names, "normal", False, fit.mean, factor, error, *bounds)
-        return law, (f"The family {fit.family!r} is drawn as a normal one of the same moments.",)
+        distribution = FittedDistribution(names, "normal", False, fit.mean, factor, error, *bounds)
+        return distribution, (
+            f"The family {fit.family!r} is drawn as a normal one of the same moments.",
+        )
     d = len(names)
     base = np.full((d + 1, d), 0.5)
     base[1:][np.diag_indices(d)] = PROBE
@@ -120,4 +146,6 @@ def law_of(fit: Fit) -> tuple[Law, tuple[str, ...]]:
     scale = float(np.asarray(family.standard.quantile(np.array([PROBE])))[0])
     factor = (points[1:] - points[0]).T / scale
     kind = KINDS[id(family.standard)]
-    return Law(names, kind, family.logarithmic, points[0], factor, error, *bounds), ()
+    return FittedDistribution(
+        names, kind, family.logarithmic, points[0], factor, error, *bounds
+    ), ()

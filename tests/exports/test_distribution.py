@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from dropo.core.services.registry import find, names
-from dropo.exports.law import law_of
-from dropo.exports.subject import subject_of_fit
+from dropo.exports.support.distribution import distribution_of
+from dropo.exports.support.subject import subject_of_fit
 from dropo.training.distributions import Predictive
 from tests.exports.conftest import PARAMETERS, arm_problem, beyond, known_fit
 
@@ -47,12 +47,12 @@ def differences(one, other):
 def test_draws_are_those_of_training(family):
     """First and second moments, for every family; the control lacks what is not known of means."""
     _, fit = fit_of(family)
-    law, approximated = law_of(fit)
+    distribution, approximated = distribution_of(fit)
     assert approximated == ()
     theirs = Predictive(fit).sample(DRAWS, np.random.default_rng(0))
-    ours = law.sample(DRAWS, np.random.default_rng(1))
+    ours = distribution.sample(DRAWS, np.random.default_rng(1))
     assert differences(ours, theirs) < BOUND
-    without = replace(law, error=np.zeros(3)).sample(DRAWS, np.random.default_rng(1))
+    without = replace(distribution, error=np.zeros(3)).sample(DRAWS, np.random.default_rng(1))
     assert differences(without, theirs) > BOUND
 
 
@@ -61,7 +61,7 @@ def test_moments_that_other_files_hold(family):
     """`Subject.mean` and `sd` are those of the draws; a standard deviation of 5 % more is not."""
     problem, fit = fit_of(family)
     subject = subject_of_fit(fit, problem)
-    draws = subject.law.sample(DRAWS, np.random.default_rng(2))
+    draws = subject.distribution.sample(DRAWS, np.random.default_rng(2))
     mean = np.array([subject.mean(name) for name in fit.space.names])
     sd = np.array([subject.sd(name) for name in fit.space.names])
     assert beyond(draws, mean, sd) < BOUND
@@ -71,20 +71,20 @@ def test_moments_that_other_files_hold(family):
 def test_draws_stay_possible():
     """A parameter near its bound is repeated, whole where it depends on others."""
     _, fit = fit_of("full")
-    near = replace(law_of(fit)[0], lower=np.array([1.2, 0.05, 0.12]))
+    near = replace(distribution_of(fit)[0], lower=np.array([1.2, 0.05, 0.12]))
     draws = near.sample(2000, np.random.default_rng(3))
     assert np.all(draws >= near.lower)
     assert np.mean(draws == near.lower) < 0.2
     assert near.together
-    assert not law_of(fit_of("uniform")[1])[0].together
+    assert not distribution_of(fit_of("uniform")[1])[0].together
 
 
 def test_an_unknown_family_is_drawn_by_its_moments(monkeypatch):
     """A family without a standard distribution becomes normal, which is said."""
     _, fit = fit_of("full")
     monkeypatch.setattr(find("families", "full"), "standard", None)
-    law, approximated = law_of(fit)
+    distribution, approximated = distribution_of(fit)
     assert approximated == ("The family 'full' is drawn as a normal one of the same moments.",)
-    draws = replace(law, error=np.zeros(3)).sample(DRAWS, np.random.default_rng(4))
+    draws = replace(distribution, error=np.zeros(3)).sample(DRAWS, np.random.default_rng(4))
     assert np.abs(np.corrcoef(draws.T) - fit.correlation).max() < 0.03
     np.testing.assert_allclose(draws.std(axis=0), fit.sd, rtol=0.03)

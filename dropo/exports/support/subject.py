@@ -18,7 +18,7 @@ from dropo.core.records.fit import Fit
 from dropo.core.services.errors import DropoError, Incompatible
 from dropo.core.services.tables import number
 from dropo.core.services.validation import Array
-from dropo.exports.law import Law, law_of
+from dropo.exports.support.distribution import FittedDistribution, distribution_of
 from dropo.mjmodel.drives import Drive
 from dropo.mjmodel.fields import OPTION, Binding, first_row, owner_of
 from dropo.mjmodel.names import actuator_names
@@ -108,7 +108,7 @@ class Subject:
         The model, its d declared parameters and its effects.
     values : (d,) array
         The means, in the order of the simulator's space.
-    law : Law or None
+    distribution : FittedDistribution or None
         The distribution of the parameters; None where none was fitted.
     approximated : tuple of str
         What of the distribution is not as in the fit, a sentence each.
@@ -117,7 +117,7 @@ class Subject:
     name: str
     simulator: MujocoSimulator
     values: Array
-    law: Law | None
+    distribution: FittedDistribution | None
     approximated: tuple[str, ...] = ()
 
     @cached_property
@@ -163,43 +163,86 @@ class Subject:
         return actuator_names(self.model)
 
     def binding(self, name: str) -> Binding | None:
-        """Find the declared parameter of that `name`; None where it is a magnitude of an effect."""
+        """Find a declared parameter.
+
+        Parameters
+        ----------
+        name : str
+            The parameter's name.
+
+        Returns
+        -------
+        Binding or None
+            Where the parameter is in the model; None where it is a magnitude of an effect.
+        """
         found = [one for one in self.simulator.bindings if one.parameter.name == name]
         return found[0] if found else None
 
     def sd(self, name: str) -> float:
-        """How much a parameter varies, what is not known of its mean included."""
-        return float(self._moments[1][self._law.names.index(name)])
+        """Give how much a parameter varies, what is not known of its mean included.
+
+        Parameters
+        ----------
+        name : str
+            The parameter's name, one of the distribution's.
+
+        Returns
+        -------
+        float
+            The standard deviation in the parameter's unit, before draws are cut at bounds.
+
+        Raises
+        ------
+        ValueError
+            If the distribution has no such parameter.
+        """
+        return float(self._moments[1][self._distribution.names.index(name)])
 
     def mean(self, name: str) -> float:
-        """The mean of a parameter."""
-        return float(self._moments[0][self._law.names.index(name)])
+        """Give the mean of a parameter.
+
+        Parameters
+        ----------
+        name : str
+            The parameter's name, one of the distribution's.
+
+        Returns
+        -------
+        float
+            The mean in the parameter's unit, before draws are cut at bounds.
+
+        Raises
+        ------
+        ValueError
+            If the distribution has no such parameter.
+        """
+        return float(self._moments[0][self._distribution.names.index(name)])
 
     @cached_property
-    def _law(self) -> Law:
+    def _distribution(self) -> FittedDistribution:
         """The distribution, of no parameter where none was fitted."""
         none = np.zeros(0)
-        empty = Law((), "normal", False, none, np.zeros((0, 0)), none, none, none)
-        return self.law or empty
+        empty = FittedDistribution((), "normal", False, none, np.zeros((0, 0)), none, none, none)
+        return self.distribution or empty
 
     @cached_property
     def _moments(self) -> tuple[Array, Array]:
         """Means and standard deviations (d,) of the distribution, before it is cut at bounds."""
-        law = self._law
-        variance = {"uniform": 1 / 3, "truncated normal": CUT_VARIANCE}.get(law.kind, 1.0)
-        spread = variance * (law.factor**2).sum(axis=1)
-        mean = law.centre
-        if law.logarithmic:
-            mean = np.exp(law.centre + spread / 2)
+        distribution = self._distribution
+        variance = {"uniform": 1 / 3, "truncated normal": CUT_VARIANCE}.get(distribution.kind, 1.0)
+        spread = variance * (distribution.factor**2).sum(axis=1)
+        mean = distribution.centre
+        if distribution.logarithmic:
+            mean = np.exp(distribution.centre + spread / 2)
             spread = mean**2 * np.expm1(spread)
-        return mean, np.sqrt(spread + law.error**2)
+        return mean, np.sqrt(spread + distribution.error**2)
 
     @cached_property
     def probed(self) -> tuple[list[Number], list[str]]:
         """The numbers that follow drawn parameters in proportion, and the parameters of others."""
         found: list[Number] = []
         others: list[str] = []
-        for name in self._law.names:
+        for name in self._distribution.names:
             numbers = self._probe(name)
             if numbers:
                 found += numbers
@@ -265,15 +308,40 @@ def _bounds(parameter: Any) -> tuple[float, float]:
 
 
 def array_of(model: mujoco.MjModel, key: str) -> Any:
-    """Read a field of a `model` by its name `key`, an entry of mjOption with "opt." before it."""
+    """Read a field of a model by its name.
+
+    Parameters
+    ----------
+    model : mujoco.MjModel
+        The model.
+    key : str
+        An array of the model, or an entry of mjOption with "opt." before it.
+
+    Returns
+    -------
+    array
+        The field itself, of the shape that MuJoCo gives it; () for an option of one number.
+    """
     owner = model.opt if key.startswith(OPTION) else model
     return np.asarray(getattr(owner, key.removeprefix(OPTION)))
 
 
 def changed_by(pairs: ActiveEffects, model: mujoco.MjModel) -> mujoco.MjModel:
-    """Change a copy of a `model` by the effects of `pairs`; derived constants stay as they are.
+    """Change a copy of a model by effects; constants that MuJoCo derives stay as they are.
 
-    A magnitude of 0 is taken a little larger, so that all numbers that can change do.
+    A magnitude of 0 is taken as `STEP`, so that all numbers that can change do.
+
+    Parameters
+    ----------
+    pairs : sequence of (EffectInstance, (q,) array)
+        Effects and their magnitudes, each in the unit of its quantity.
+    model : mujoco.MjModel
+        The model, which is left as it is.
+
+    Returns
+    -------
+    mujoco.MjModel
+        The changed copy.
     """
     changed = copy.copy(model)
     for instance, sizes in pairs:
@@ -290,20 +358,57 @@ NO_SPREAD = (
 
 
 def remarks_of(left_out: Sequence[str], approximated: Sequence[str]) -> str:
-    """Write sentences as the last lines of a file's header."""
+    """Write sentences as the last paragraphs of a file's header.
+
+    Parameters
+    ----------
+    left_out, approximated : sequence of str
+        What the target cannot hold, and what it holds otherwise, a sentence each.
+
+    Returns
+    -------
+    str
+        A paragraph for each sentence, in lines of at most `WIDTH` characters; empty for none.
+    """
     paragraphs = (textwrap.fill(sentence, WIDTH) for sentence in (*left_out, *approximated))
     return "".join(f"\n{paragraph}\n" for paragraph in paragraphs)
 
 
 def describe(instance: EffectInstance, sizes: Array) -> str:
-    """Write an effect with its sizes, such as "actuator_delay:elbow (delay 0.01 s)"."""
+    """Write an effect with its sizes, such as "actuator_delay:elbow (delay 0.01 s)".
+
+    Parameters
+    ----------
+    instance : EffectInstance
+        The effect, with q quantities.
+    sizes : (q,) array
+        The magnitudes, in the quantities' units.
+
+    Returns
+    -------
+    str
+        The label, and each magnitude with four digits and its unit.
+    """
     pairs = zip(instance.quantities, np.asarray(sizes).tolist(), strict=True)
     shares = [f"{q.name} {number(x, 4)} {q.unit}".removesuffix(" 1") for q, x in pairs]
     return f"{instance.label} ({', '.join(shares)})"
 
 
 def effects_left_out(pairs: Sequence[tuple[EffectInstance, Array]], why: str) -> list[str]:
-    """Say of each effect that it is left out, and why."""
+    """Say of each effect that it is left out, and why.
+
+    Parameters
+    ----------
+    pairs : sequence of (EffectInstance, (q,) array)
+        Effects and their magnitudes.
+    why : str
+        The reason, the end of a sentence without its full stop.
+
+    Returns
+    -------
+    list of str
+        A sentence for each effect.
+    """
     return [f"{describe(instance, sizes)} is left out: {why}." for instance, sizes in pairs]
 
 
@@ -348,7 +453,20 @@ def delays_of(
 
 
 def others_left_out(subject: Subject, names: Sequence[str]) -> list[str]:
-    """Say of parameters whose numbers do not follow in proportion that they keep their means."""
+    """Say of parameters whose numbers do not follow in proportion that they keep their means.
+
+    Parameters
+    ----------
+    subject : Subject
+        What is exported.
+    names : sequence of str
+        The parameters.
+
+    Returns
+    -------
+    list of str
+        A sentence for each parameter.
+    """
     return [
         f"The spread of {name} is left out: it is no number of a model, or several that do not "
         f"change in proportion; its mean {number(subject.mean(name), 4)} is kept."
@@ -389,17 +507,27 @@ def subject_of_fit(fit: Fit, problem: Problem) -> Subject:
                 f"The fit's parameter {parameter.name!r} is at another place of a model than that "
                 f"of problem {problem.name!r}. Name the problem that was fitted."
             )
-    law, approximated = law_of(fit)
-    return Subject(problem.name, simulator, fit.mean, law, approximated)
+    distribution, approximated = distribution_of(fit)
+    return Subject(problem.name, simulator, fit.mean, distribution, approximated)
 
 
 def simulator_of(problem: Problem) -> MujocoSimulator:
     """Give the simulator of a problem, if it has a model that can be written.
 
+    Parameters
+    ----------
+    problem : Problem
+        The problem.
+
+    Returns
+    -------
+    MujocoSimulator
+        Its simulator.
+
     Raises
     ------
     Incompatible
-        If it has no MuJoCo model.
+        If the simulator has no MuJoCo model.
     """
     simulator = problem.simulator
     if not isinstance(simulator, MujocoSimulator):
