@@ -22,8 +22,10 @@ from dropo.exports.law import Law, law_of
 from dropo.mjmodel.drives import Drive
 from dropo.mjmodel.fields import OPTION, Binding, first_row, owner_of
 from dropo.mjmodel.names import actuator_names
+from dropo.mjmodel.numbers import array_of, changed_numbers
+from dropo.mjmodel.options import physics_step
 from dropo.problems.file.model_xml import format_model, is_in_model
-from dropo.problems.file.plain_model import active_effects, changed_numbers
+from dropo.problems.file.plain_model import active_effects
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 LINEAR = 1e-9
@@ -264,12 +266,6 @@ def _bounds(parameter: Any) -> tuple[float, float]:
     return parameter.lower, parameter.upper
 
 
-def array_of(model: mujoco.MjModel, key: str) -> Any:
-    """Read a field of a `model` by its name `key`, an entry of mjOption with "opt." before it."""
-    owner = model.opt if key.startswith(OPTION) else model
-    return np.asarray(getattr(owner, key.removeprefix(OPTION)))
-
-
 def changed_by(pairs: ActiveEffects, model: mujoco.MjModel) -> mujoco.MjModel:
     """Change a copy of a `model` by the effects of `pairs`; derived constants stay as they are.
 
@@ -330,7 +326,7 @@ def delays_of(
     """
     delays: dict[str, int] = {}
     others = []
-    step = float(subject.model.opt.timestep)
+    step = physics_step(subject.model)
     for instance, sizes in subject.around:
         if instance.effect != "actuator_delay":
             others.append((instance, sizes))
