@@ -10,7 +10,7 @@ from dropo.diagnosis.laws.forces import residual_forces
 from dropo.diagnosis.search.linearization import Library
 from dropo.diagnosis.search.trials import State
 from dropo.effects.law import units_at
-from dropo.simulators.mujoco.simulator import MujocoSimulator
+from dropo.mjmodel.robot_simulator import RobotSimulator
 
 BINS = 12
 """Parts of the data in each of which one force is fitted."""
@@ -40,7 +40,7 @@ def law_curve(
         Over the one variable that the law has, or where it has several over its own value.
     """
     simulator = library.simulator
-    if not isinstance(simulator, MujocoSimulator):
+    if not isinstance(simulator, RobotSimulator):
         raise AssertionError("laws are found around a MuJoCo model")
     forces = residual_forces(library, without, floor)
     joint = joint_at(simulator, str(law.target))
