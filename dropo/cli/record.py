@@ -119,7 +119,7 @@ def problem_record(problem: Problem) -> dict[str, Any]:
     """Make a dict of the settings of a `problem`, with SHA-256 sums of all that is behind it."""
     plugins = plugin_sums()
     simulator = problem.simulator
-    model = getattr(simulator, "model", None)
+    model = simulator.model
     return {
         "problem": problem.name,
         "simulator": type(simulator).__name__,

@@ -212,6 +212,7 @@ class _RandomEffects(GroupedLogLikelihood):
     """
 
     has_gradients = True
+    simulator: Simulator
 
     def __init__(
         self,

@@ -229,7 +229,8 @@ def draw(distribution: ParameterDistribution, rng: Generator, done: int) -> Arra
 
 def variances_of(distribution: ParameterDistribution) -> Array | None:
     """Returns the noise variances (p,) that a fit learned, or None for any other distribution."""
-    return getattr(full_width(distribution), "epsilon", None)
+    whole = full_width(distribution)
+    return whole.epsilon if isinstance(whole, Fit) else None
 
 
 def places_of(distribution: ParameterDistribution) -> dict[str, dict[str, Any]]:
