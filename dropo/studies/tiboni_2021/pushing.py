@@ -23,11 +23,11 @@ from dropo.problems.panda.pushing import (
     GOAL,
     TRUTH,
     Pusher,
-    fields_of,
     pushing,
     pushing_simulator,
     target_model,
 )
+from dropo.simulators.mujoco.closed_loop import fields_of
 from dropo.studies.engine.study import Study
 from dropo.studies.engine.work import Work
 from dropo.studies.tiboni_2021.transfer import (
