@@ -24,7 +24,7 @@ from dropo.core.records.predictions import Predictions
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.atomic_write import write_json
 from dropo.core.services.plugin_files import plugin_sums
-from dropo.mjmodel.loading import model_sum
+from dropo.mjmodel.files.loading import model_sum
 
 
 def run_record(

@@ -17,7 +17,7 @@ from dropo.core.services.errors import BadArgument
 from dropo.core.services.validation import Array, known
 from dropo.effects.support.formula import Units, read_formula
 from dropo.effects.support.formula_values import Program, evaluate
-from dropo.mjmodel.forces import joint_loads, motor_force, motors
+from dropo.mjmodel.dynamics.forces import joint_loads, motor_force, motors
 from dropo.mjmodel.joints import Joint, actuators, joints
 from dropo.mjmodel.kinematics import centre_motion
 from dropo.mjmodel.names import element_names

@@ -19,7 +19,7 @@ from dropo.core.services.errors import DropoError, Incompatible
 from dropo.core.services.tables import number
 from dropo.core.services.validation import Array
 from dropo.exports.law import Law, law_of
-from dropo.mjmodel.drives import Drive
+from dropo.mjmodel.dynamics.drives import Drive
 from dropo.mjmodel.fields import OPTION, Binding, first_row, owner_of
 from dropo.mjmodel.names import actuator_names
 from dropo.mjmodel.numbers import array_of, changed_numbers

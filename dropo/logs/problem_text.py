@@ -8,8 +8,8 @@ import numpy as np
 
 from dropo.core.services.strict_yaml import format_yaml
 from dropo.core.services.validation import Array
-from dropo.mjmodel.drives import servo_of
-from dropo.mjmodel.forces import inverse_forces
+from dropo.mjmodel.dynamics.drives import servo_of
+from dropo.mjmodel.dynamics.forces import inverse_forces
 from dropo.mjmodel.joints import Joint, ModelJoints, numbers_of
 
 HEAD = """\

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from dropo.core.services.validation import Array
-from dropo.mjmodel.loading import load_model
+from dropo.mjmodel.files.loading import load_model
 from dropo.mjmodel.names import KINDS, actuator_names, driven_joints, joint_names
 from dropo.mjmodel.options import gravity, integrator, physics_step
 from dropo.mjmodel.sensors import Sensor, named_sensors

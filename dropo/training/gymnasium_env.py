@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.validation import Array
-from dropo.mjmodel.forces import add_contact_forces
+from dropo.mjmodel.dynamics.forces import add_contact_forces
 from dropo.mjmodel.options import disabled
 from dropo.simulators.mujoco.episodes import Episodes
 from dropo.simulators.mujoco.simulator import MujocoSimulator

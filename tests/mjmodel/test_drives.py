@@ -3,8 +3,8 @@
 import mujoco
 import pytest
 
-from dropo.mjmodel.drives import command_kind, feedback_at
-from dropo.mjmodel.forces import force_per_command
+from dropo.mjmodel.dynamics.drives import command_kind, feedback_at
+from dropo.mjmodel.dynamics.forces import force_per_command
 from dropo.mjmodel.joints import joints
 
 MODEL = """<mujoco><worldbody>

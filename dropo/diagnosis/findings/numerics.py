@@ -16,7 +16,7 @@ from dropo.diagnosis.search.linearization import Library, LinearizedWindows, shi
 from dropo.diagnosis.search.refit import settle
 from dropo.diagnosis.search.trials import State
 from dropo.diagnosis.search.windows import spread_of
-from dropo.mjmodel.holding_friction import holds, impedance
+from dropo.mjmodel.dynamics.holding_friction import holds, impedance
 from dropo.mjmodel.options import integrator, physics_step
 from dropo.mjmodel.robot_simulator import RobotSimulator
 

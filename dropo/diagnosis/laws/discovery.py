@@ -32,7 +32,7 @@ from dropo.diagnosis.search.selection import Selection
 from dropo.diagnosis.search.trials import Batch, State, Trial, commonest_first
 from dropo.effects.law import hidden_states, joint_variables, law_instance
 from dropo.effects.support.formula_values import Program, evaluate
-from dropo.mjmodel.forces import motors
+from dropo.mjmodel.dynamics.forces import motors
 from dropo.mjmodel.joints import Joint, joints
 from dropo.mjmodel.robot_simulator import RobotSimulator
 

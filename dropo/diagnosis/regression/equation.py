@@ -22,9 +22,9 @@ from dropo.core.services.validation import Array
 from dropo.diagnosis.regression.kernels import REACH, apply_kernel, derivative_kernels, held_kernel
 from dropo.diagnosis.search.library import robot_of
 from dropo.mjmodel.bodies import moving_bodies
-from dropo.mjmodel.body_regressors import inverse_dynamics
-from dropo.mjmodel.contact_free import projectors
-from dropo.mjmodel.forces import LinearDrives, linear_drives
+from dropo.mjmodel.dynamics.body_regressors import inverse_dynamics
+from dropo.mjmodel.dynamics.contact_free import projectors
+from dropo.mjmodel.dynamics.forces import LinearDrives, linear_drives
 from dropo.mjmodel.joints import Joint, all_joints, dry_frictions, joints
 from dropo.mjmodel.options import physics_step
 from dropo.mjmodel.robot_simulator import RobotSimulator

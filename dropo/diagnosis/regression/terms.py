@@ -9,7 +9,7 @@ from dropo.core.contracts.effect import Model
 from dropo.core.services.validation import Array
 from dropo.diagnosis.regression.equation import Equation, model_of
 from dropo.mjmodel.bodies import body_masses, mass_centre, moving_bodies
-from dropo.mjmodel.drives import feedback_at
+from dropo.mjmodel.dynamics.drives import feedback_at
 from dropo.mjmodel.joints import Joint, actuators, joints, numbers_of
 from dropo.mjmodel.options import gravity, physics_step
 from dropo.mjmodel.robot_simulator import RobotSimulator
@@ -254,7 +254,7 @@ def point_mass(place: Array) -> Array:
     Returns
     -------
     (10,) array
-        As `dropo.mjmodel.body_regressors.INERTIAL` orders them.
+        As `dropo.mjmodel.dynamics.body_regressors.INERTIAL` orders them.
     """
     x, y, z = place
     moments = (y * y + z * z, x * x + z * z, x * x + y * y, -x * y, -x * z, -y * z)

@@ -35,7 +35,7 @@ from dropo.logs.guessing.words import ColumnName, read_names
 from dropo.logs.readers.reader import Log
 from dropo.logs.signals.stamps import increasing
 from dropo.logs.units import UNITS, seconds
-from dropo.mjmodel.drives import command_kind
+from dropo.mjmodel.dynamics.drives import command_kind
 from dropo.mjmodel.joints import Joint, ModelJoints
 
 Ask = Callable[[str, Sequence[str]], str]

@@ -10,9 +10,9 @@ from dropo.core.services.validation import Array
 from dropo.logs.preparing import clean_run
 from dropo.logs.recordings import LogRun
 from dropo.logs.signals.velocities import estimate_velocities
-from dropo.mjmodel.forces import inverse_forces
+from dropo.mjmodel.dynamics.forces import inverse_forces
+from dropo.mjmodel.files.robots import DriveGuess
 from dropo.mjmodel.joints import ModelJoints, numbers_of, reference_pose
-from dropo.mjmodel.robots import DriveGuess
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from dropo.core.contracts.problem import Problem
 from dropo.mjmodel.bodies import body_masses, contact_margin, principal_inertia
-from dropo.mjmodel.loading import gymnasium_spec
+from dropo.mjmodel.files.loading import gymnasium_spec
 from dropo.mjmodel.names import element_id
 from dropo.problems.hopper.model import BODIES, FRAME_SKIP, MARGIN, hopper_model
 from dropo.problems.hopper.published import published

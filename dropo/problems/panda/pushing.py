@@ -14,7 +14,7 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Ints, Trajectories
 from dropo.core.services.validation import Array
 from dropo.mjmodel.fields import FieldParameter
-from dropo.mjmodel.loading import load_model
+from dropo.mjmodel.files.loading import load_model
 from dropo.mjmodel.observation import exponential, multiply
 from dropo.problems.panda.pusher import BOX, drive
 from dropo.simulators.mujoco.simulator import MujocoSimulator

@@ -16,7 +16,7 @@ from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.registry import find
 from dropo.core.services.validation import Array, check_shape
 from dropo.mjmodel.bodies import body_masses, body_place
-from dropo.mjmodel.drives import servo_of
+from dropo.mjmodel.dynamics.drives import servo_of
 from dropo.mjmodel.fields import FieldParameter
 from dropo.mjmodel.names import element_id
 from dropo.mjmodel.options import physics_step

@@ -16,8 +16,8 @@ from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.validation import Array
 from dropo.mjmodel.bodies import body_masses
 from dropo.mjmodel.fields import FieldParameter
+from dropo.mjmodel.files.loading import gymnasium_spec
 from dropo.mjmodel.joints import command_limits
-from dropo.mjmodel.loading import gymnasium_spec
 from dropo.mjmodel.names import element_names
 from dropo.problems.hopper.data import healthy, hopper_policy, start_states
 from dropo.problems.hopper.problem import hopper_simulator

@@ -19,7 +19,7 @@ from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.registry import find, names
 from dropo.core.services.validation import Array, known, require
 from dropo.diagnosis.search.library import LAW
-from dropo.mjmodel.forces import force_per_command
+from dropo.mjmodel.dynamics.forces import force_per_command
 from dropo.mjmodel.joints import actuators
 from dropo.problems.simulated.robots import ROBOTS, SimulatedRobot, masses, simulated_robot
 from dropo.simulators.mujoco.simulator import MujocoSimulator
