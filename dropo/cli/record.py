@@ -24,7 +24,7 @@ from dropo.core.records.predictions import Predictions
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.atomic_write import write_json
 from dropo.core.services.plugin_files import plugin_sums
-from dropo.mjmodel.loading import model_sum
+from dropo.mjmodel.files.loading import model_sum
 
 
 def run_record(
@@ -130,7 +130,7 @@ def problem_record(problem: Problem) -> dict[str, Any]:
     """
     plugins = plugin_sums()
     simulator = problem.simulator
-    model = getattr(simulator, "model", None)
+    model = simulator.model
     return {
         "problem": problem.name,
         "simulator": type(simulator).__name__,

@@ -59,6 +59,7 @@ from dropo.diagnosis.search.window_length import (
 )
 from dropo.diagnosis.search.windows import Windows, split, spread_of
 from dropo.evaluation.held_out import SETTINGS as HELD_OUT
+from dropo.mjmodel.options import physics_step
 
 
 @dataclass(frozen=True)
@@ -820,7 +821,7 @@ def _without_short_delays(setup: _Setup, searched: _Searched) -> tuple[_Setup, _
     They are what else is wrong looks like: a model says little of what happens within its steps.
     """
     library, last = setup.library, searched.last
-    step = float(robot_of(setup.problem).model.opt.timestep)
+    step = physics_step(robot_of(setup.problem).model)
     refused: dict[str, str] = {}
     indices: list[int] = []
     for instance in last.accepted:

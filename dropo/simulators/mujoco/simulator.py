@@ -26,10 +26,10 @@ from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.trajectories import Ints, Segments
 from dropo.core.services.errors import BadArgument, Incompatible
 from dropo.core.services.validation import Array, require
-from dropo.mjmodel.contacts import touching
+from dropo.mjmodel.dynamics.contacts import touching
+from dropo.mjmodel.dynamics.holding_friction import hold_friction
 from dropo.mjmodel.fields import MOVES_FRAMES, Binding, FieldParameter, item_columns
-from dropo.mjmodel.holding_friction import hold_friction
-from dropo.mjmodel.loading import load_model, specification
+from dropo.mjmodel.files.loading import load_model, specification
 from dropo.mjmodel.names import element_names
 from dropo.mjmodel.observation import Layout
 from dropo.mjmodel.robot_simulator import RobotSimulator

@@ -19,6 +19,8 @@ from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.registry import find, names
 from dropo.core.services.validation import Array, known, require
 from dropo.diagnosis.search.library import LAW
+from dropo.mjmodel.dynamics.forces import force_per_command
+from dropo.mjmodel.joints import actuators
 from dropo.problems.simulated.robots import ROBOTS, SimulatedRobot, masses, simulated_robot
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 from dropo.studies.engine.study import Study, Table
@@ -670,10 +672,11 @@ def unmodelled_cause(
     """
     model = robot.simulator.model
     i = int(rng.integers(model.nu))
-    joint = int(model.actuator_trnid[i, 0])
-    q = int(model.jnt_qposadr[joint])
-    v = int(model.jnt_dofadr[joint])
-    full = abs(float(model.actuator_gainprm[i, 0] * model.actuator_gear[i, 0]))
+    joint = actuators(model)[i].joint
+    assert joint is not None
+    q = joint.qpos
+    v = joint.qvel
+    full = force_per_command(model, i)
     shape = int(rng.integers(3))
 
     def force(state: StepState, magnitudes: Array) -> Array:
