@@ -89,8 +89,11 @@ class Episodes:
     ):
         instances = [*simulator.effects, *(instance for instance, _ in simulator.fixed)]
         _refuse_recorded(instances)
-        general = simulator.general if any(instance.general for instance in instances) else None
-        model = copy.copy(general or simulator.model)
+        general = any(instance.general for instance in instances)
+        if whole:  # what is given to others has the size of their model
+            model = copy.copy(simulator.whole_general if general else simulator.model)
+        else:
+            model = copy.copy(simulator.general if general else simulator.simulated)
         disabled = model.opt.disableflags if flags is None else flags
         model.opt.disableflags = disabled | mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self.simulator = simulator
