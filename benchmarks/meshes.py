@@ -77,7 +77,7 @@ def write_arm(folder: Path, faces: int, looks: str) -> Path:
     path.write_text(
         f"""<mujoco model="arm"><option timestep="0.002" integrator="implicitfast"/>
         <asset>{assets}</asset>
-        <worldbody><geom name="floor" type="plane" size="3 3 1"/>
+        <worldbody><geom name="floor" type="plane" size="3 3 1" friction="0.3"/>
         {bodies}{"</body>" * JOINTS}</worldbody>
         <actuator>{motors}</actuator></mujoco>"""
     )
