@@ -90,10 +90,11 @@ class Episodes:
         instances = [*simulator.effects, *(instance for instance, _ in simulator.fixed)]
         _refuse_recorded(instances)
         general = any(instance.general for instance in instances)
-        if whole:  # what is given to others has the size of their model
-            model = copy.copy(simulator.whole_general if general else simulator.model)
-        else:
-            model = copy.copy(simulator.general if general else simulator.simulated)
+        # what is given to others has the size of their model
+        own = simulator.model if whole else simulator.simulated
+        if general:
+            own = (simulator.whole_general if whole else simulator.general) or own
+        model = copy.copy(own)
         disabled = model.opt.disableflags if flags is None else flags
         model.opt.disableflags = disabled | mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self.simulator = simulator
