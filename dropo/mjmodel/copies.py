@@ -32,7 +32,7 @@ LARGE = (
     "tex_data",
 )
 """Arrays of what makes up meshes and pictures, which no copy changes."""
-_FLAGS = ("flg_gravcomp", "flg_surfacevel", "flg_adhesion")
+FLAGS = ("flg_gravcomp", "flg_surfacevel", "flg_adhesion")
 """What MuJoCo notes of a model's numbers, where its version does."""
 
 
@@ -80,6 +80,6 @@ class ModelCopy:
                 if isinstance(value, np.ndarray):
                     if value.size:
                         arrays.append((value, getattr(other, name)))
-                elif isinstance(value, int | float) and (own is not self.model or name in _FLAGS):
+                elif isinstance(value, int | float) and (own is not self.model or name in FLAGS):
                     self._numbers.append((own, other, name))
         return arrays

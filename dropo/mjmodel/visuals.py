@@ -6,12 +6,14 @@ name, and its mesh has no vertices. Everything that is found by index in one mod
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from dropo.core.services.validation import Array
+from dropo.mjmodel.copies import FLAGS
 
 Mask = NDArray[np.bool_]
 
@@ -61,6 +63,8 @@ _EMPTIED = {
     "ntex": ("tex_height", "tex_width"),
 }
 """What else is 0 of an element without rows."""
+_STRUCTS = ("opt", "vis", "stat", *FLAGS)
+"""What of a model is in no array."""
 _ALIGNED = 64
 """The bytes to which MuJoCo aligns each array."""
 _SIZES = 20
@@ -116,12 +120,27 @@ def without_visuals(model: mujoco.MjModel, settings: VisualSettings = SETTINGS) 
         smaller = mujoco.MjModel.from_binary_path("model.mjb", {"model.mjb": content})
     except (ValueError, mujoco.FatalError):
         return model
+    _copy_numbers(smaller, model)
     same = all(
         np.array_equal(_bytes_of(smaller, name), _bytes_of(model, name))
         for name in fields
         if name not in cut
     )
     return smaller if same else model
+
+
+def _copy_numbers(to: Any, of: Any) -> None:
+    """Write the numbers of a model that are in no array of it: options, statistics, flags."""
+    for name in dir(of):
+        if name.startswith("_") or (isinstance(of, mujoco.MjModel) and name not in _STRUCTS):
+            continue
+        value = getattr(of, name)
+        if isinstance(value, np.ndarray):
+            getattr(to, name)[...] = value
+        elif isinstance(value, int | float):
+            setattr(to, name, value)
+        elif not callable(value):
+            _copy_numbers(getattr(to, name), value)
 
 
 def lost_shapes(model: mujoco.MjModel) -> NDArray[np.int64]:
@@ -207,12 +226,7 @@ def _cut(
         own = gone[owners]
         starts = np.asarray(getattr(model, address), dtype=np.int64)
         counts = _counts(model, address, number)
-        rows = getattr(model, size)
-        edges = np.zeros(rows + 1, dtype=np.int64)
-        holding = own & (starts >= 0) & (counts > 0)
-        np.add.at(edges, starts[holding], 1)
-        np.add.at(edges, starts[holding] + counts[holding], -1)
-        gone[size] = np.cumsum(edges)[:-1] > 0
+        gone[size] = _rows_of(own & (starts >= 0), starts, counts, getattr(model, size))
         before = np.concatenate([[0], np.cumsum(~gone[size])])  # the rows kept before each
         moved = np.where(starts >= 0, before[np.maximum(starts, 0)], starts)
         left = counts
@@ -237,29 +251,44 @@ def _cut(
     return cut
 
 
+def _rows_of(own: Mask, starts: NDArray[np.int64], counts: NDArray[np.int64], rows: int) -> Mask:
+    """Which of all rows belong to some of their owners."""
+    if len(own) and own.all() and counts.sum() == rows:
+        return np.ones(rows, dtype=bool)
+    edges = np.zeros(rows + 1, dtype=np.int64)
+    holding = own & (counts > 0)
+    np.add.at(edges, starts[holding], 1)
+    np.add.at(edges, starts[holding] + counts[holding], -1)
+    return np.cumsum(edges)[:-1] > 0
+
+
 def _binary(model: mujoco.MjModel, cut: dict[str, Array], fields: dict[str, str]) -> bytes | None:
-    """MuJoCo's binary format of a model with some of its arrays changed; None of another one."""
+    """MuJoCo's binary format of a model with some of its arrays changed; None of another format.
+
+    Options and statistics are those of an empty model.
+    """
     names = _size_names()
-    sizes = np.array([getattr(model, name) for name in names], dtype=np.int64)
-    whole = np.zeros(mujoco.mj_sizeModel(model), dtype=np.uint8)
-    mujoco.mj_saveModel(model, None, whole)
-    structs = _SIZES + sizes.nbytes
-    lengths = {name: _bytes_of(model, name).size for name in fields}
-    arrays = len(whole) - sum(lengths.values())
-    slack = model.nbuffer - _aligned(lengths.values())
+    empty = mujoco.MjModel.from_xml_string("<mujoco/>")
+    written = np.zeros(mujoco.mj_sizeModel(empty), dtype=np.uint8)
+    mujoco.mj_saveModel(empty, None, written)
+    own = np.array([getattr(empty, name) for name in names], dtype=np.int64)
+    structs = _SIZES + own.nbytes
+    arrays = len(written) - sum(_bytes_of(empty, name).size for name in fields)
+    slack = model.nbuffer - _aligned(_bytes_of(model, name).size for name in fields)
     understood = (
         arrays >= structs
-        and np.array_equal(whole[_SIZES:structs], sizes.view(np.uint8))
+        and np.array_equal(written[_SIZES:structs], own.view(np.uint8))
         and 0 <= slack < _ALIGNED
     )
     if not understood:
         return None
+    sizes = np.array([getattr(model, name) for name in names], dtype=np.int64)
     parts = [_bytes_of(model, name) if name not in cut else _raw(cut[name]) for name in fields]
     for name, size in fields.items():
         if name in cut and size in names:
             sizes[names.index(size)] = len(cut[name])
     sizes[names.index("nbuffer")] = _aligned(part.size for part in parts) + slack
-    head = [whole[:_SIZES], sizes.view(np.uint8), whole[structs:arrays]]
+    head = [written[:_SIZES], sizes.view(np.uint8), written[structs:arrays]]
     return np.concatenate([*head, *parts]).tobytes()
 
 
