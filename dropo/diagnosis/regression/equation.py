@@ -274,7 +274,7 @@ def equation_of(
 
 def model_of(simulator: RobotSimulator) -> Model:
     """Return the model of a robot with its fixed effects written into it."""
-    worker = Worker(simulator.model, ())
+    worker = Worker(simulator.simulated, ())
     worker.set(np.zeros(0), [one for one in simulator.fixed if not one[0].general])
     return worker.model
 

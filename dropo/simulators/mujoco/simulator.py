@@ -83,8 +83,6 @@ class MujocoSimulator(RobotSimulator):
 
     Attributes
     ----------
-    simulated : MjModel
-        The model without meshes and textures that are only seen, which is what is stepped.
     observation, action : tuple of str
         As given.
     threads : int
