@@ -34,6 +34,9 @@ class RobotSimulator(Simulator):
     ----------
     model : MjModel
         The compiled model, without parameters and effects written into it.
+    simulated : MjModel
+        The same without meshes and textures that are only seen, which is what is stepped and
+        copied; elements have the same places in both.
     frame_skip : int
         The physics steps for which an action is held.
     control_step : float
@@ -51,6 +54,7 @@ class RobotSimulator(Simulator):
     """
 
     model: mujoco.MjModel
+    simulated: mujoco.MjModel
     frame_skip: int
     control_step: float
     nominal: Array
