@@ -14,7 +14,7 @@ from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.registry import find
 from dropo.mjmodel.appearance import posed, shapes
-from dropo.mjmodel.loading import load_model, model_sum
+from dropo.mjmodel.files.loading import load_model, model_sum
 from dropo.mjmodel.visuals import VisualSettings, without_visuals
 from dropo.problems.file.writer import write_problem
 from dropo.simulators.mujoco import simulator as simulators

@@ -274,7 +274,7 @@ def point_mass_slope(place: Array, axis: Array) -> Array:
     Returns
     -------
     (10,) array
-        Per metre, as `dropo.mjmodel.body_regressors.INERTIAL` orders them.
+        Per metre, as `dropo.mjmodel.dynamics.body_regressors.INERTIAL` orders them.
     """
     step = 1e-6
     return (point_mass(place + step * axis) - point_mass(place - step * axis)) / (2 * step)
