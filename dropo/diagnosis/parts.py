@@ -204,7 +204,8 @@ class Cause:
     confused_with : tuple of Alternative
         What the data cannot tell from it.
     acts_like : str or None
-        The variable with which its size differs, where it is no true cause.
+        The variable with which its size differs; None where none is known. Whether the effect is
+        stated as a cause is a matter of the whole diagnosis: see `Diagnosis.stated`.
     stability : Stability or None
         Where else it is named; None where that was not tried, as where whole motions were fitted.
     formula : str
@@ -404,6 +405,24 @@ class Remaining:
             "where": list(self.where),
             "forces": dict(self.forces),
         }
+
+
+def are_stated(verdict: str) -> bool:
+    """Say whether the effects that a diagnosis names are stated as causes.
+
+    They are where nothing remains unexplained beside them. Elsewhere what is missing acts like
+    them: something else may be behind each.
+
+    Parameters
+    ----------
+    verdict : {"consistent", "explained", "partly", "unexplained"}
+        Of the diagnosis.
+
+    Returns
+    -------
+    bool
+    """
+    return verdict == "explained"
 
 
 def effect_in_words(effect: str, target: str | None, variant: str, formula: str = "") -> str:
