@@ -290,6 +290,8 @@ class SavedLeader(Saved):
     gain: float
     gain_se: Known
     times: Known
+    why: str = ""
+    steps: Count = 0
     record: str
 
 
