@@ -1,6 +1,7 @@
 """What errors after every printed horizon say of an effect and of the verdict."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ import dropo.diagnosis.diagnose as module
 from dropo import Diagnose
 from dropo.core.records.trajectories import Signal
 from dropo.diagnosis.diagnose import DiagnosisSettings
+from dropo.diagnosis.findings import horizons
 from dropo.diagnosis.findings.every_horizon import (
     OF_MOTION,
     Beyond,
@@ -17,7 +19,7 @@ from dropo.diagnosis.findings.every_horizon import (
     in_words,
     worse_after,
 )
-from dropo.diagnosis.findings.horizons import AfterHorizon, apart
+from dropo.diagnosis.findings.horizons import AfterHorizon, apart, with_numbers
 from dropo.diagnosis.parts import Leader
 from dropo.report.pages.diagnosis_page import _remaining
 from tests.models.hidden_in_arm import problem
@@ -120,6 +122,25 @@ def test_motion_that_is_lost_is_lost_for_both():
     followed = replace(followed, by_noise=after(400, 0.1).by_noise)
     assert worse_after([followed], 0, 1).steps == 400
     assert len(beyond_noise([followed], 1)) == 1
+
+
+def test_noise_makes_errors_of_the_numbers_fitted(monkeypatch):
+    """A prediction that is a number's own is off by that number's error; a direction that the data
+    do not tell, here the second number, is no error that noise makes.
+    """
+    shape = (-1, WINDOWS, 2)
+    predict = lambda thetas, windows: np.repeat(thetas.sum(axis=1), WINDOWS * 2).reshape(shape)
+    bounds = SimpleNamespace(low=np.array([-1.0, -1.0]), high=np.array([1.0, 1.0]))
+    library = SimpleNamespace(simulator=SimpleNamespace(space=bounds, predict=predict))
+    last = SimpleNamespace(theta=np.array([0.2, 0.3]), free=np.arange(2))
+    monkeypatch.setattr(horizons, "_part_and_spread", lambda *given: (None, None))
+    monkeypatch.setattr(horizons, "held_out_windows", lambda *given: None)
+    exact = replace(after(20, 0.1), by_noise=np.zeros((2, WINDOWS, 2)))
+    (told,) = with_numbers(
+        None, library, last, np.diag([0.05**2, 9.0]), [exact], np.random.default_rng(0), 400
+    )
+    assert told.by_noise.shape == (400, WINDOWS, 2)
+    assert told.by_noise.std() == pytest.approx(0.05, rel=4 / np.sqrt(800))
 
 
 def test_pieces_of_few_runs_hardly_overlap():

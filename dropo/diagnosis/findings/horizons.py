@@ -26,6 +26,9 @@ from dropo.evaluation.held_out import (
     rms_of_motion,
 )
 
+TOLD = 0.1
+"""Fraction of the numbers' intervals below which the data tell a direction of them."""
+
 
 @dataclass(frozen=True, eq=False)
 class Horizon:
@@ -238,8 +241,11 @@ def with_numbers(
     (own,) = rng.spawn(1)
     space = library.simulator.space
     thetas = np.repeat(last.theta[None], draws + 1, axis=0)
-    values, vectors = np.linalg.eigh(covariance)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    # What the data do not tell of the numbers is no error that noise makes of them.
+    width = (space.high - space.low)[last.free]
+    values, vectors = np.linalg.eigh(covariance / np.outer(width, width))
+    sizes = np.sqrt(np.maximum(values, 0.0))
+    root = width[:, None] * vectors * np.where(sizes < TOLD, sizes, 0.0)
     thetas[1:, last.free] += own.standard_normal((draws, len(values))) @ root.T
     thetas[1:] = np.clip(thetas[1:], space.low, space.high)
     part, _ = _part_and_spread(problem, library, last)
