@@ -194,6 +194,11 @@ def after_horizons(
         errors = errors_of(simulator, predicted, windows, spread)
         if errors[which[-1]].failed == errors[which[-1]].rows:
             break
+        # Starts of a late signal are off by more than noise.
+        extra_sd = simulator.extra_start_sd(last.theta, windows)
+        if extra_sd.any():
+            further = offsets + extra_sd * ends.standard_normal(offsets.shape)
+            change = simulator.predict(same, windows, offsets=further) - predicted[which[-1]]
         anew = np.sqrt(1 - rho ** (2 * steps)) * sigma * ends.standard_normal(offsets.shape)
         after = AfterHorizon(
             steps=steps,
