@@ -144,8 +144,7 @@ def hidden_effects(
         groups.append(("all", runs))
     rows = [row for name, own in groups for row in _rows(name, own, settings)]
     none = "-"
-    count = str(len(runs))
-    of_all = (count, none, none, none, none, _false(runs), none, none, none)
+    of_all = (str(len(runs)), none, none, none, none, _false(runs), none, none, none)
     rows.append((groups[-1][0], "any of these", *of_all))
     wrong = [_wrong_row(r) for r in runs if not r["right"]]
     tables = (
