@@ -33,8 +33,7 @@ class NumericsSettings:
     windows : int
         Windows, spread over the data, that are simulated with half the step.
     false_alarm : float
-        Level of the split likelihood-ratio test by which another step or integrator must explain
-        data held out better.
+        Another step or integrator must explain data held out better by log(1 / false_alarm) nats.
     """
 
     share: float = 0.5
