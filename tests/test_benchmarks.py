@@ -8,7 +8,7 @@ import time
 import numpy as np
 import pytest
 
-from benchmarks import cost, shares, tables
+from benchmarks import cost, meshes, shares, tables
 from benchmarks.objective import (
     EPSILON,
     TINY,
@@ -144,3 +144,15 @@ def test_shares_of_the_main_job_add_up():
     assert min(parts[:2]) > 0
     assert max(parts) < found["total"]
     assert shares.report(["hopper", "--transitions", "80"]).count("\n") == 9
+
+
+def test_meshes_prints_a_row_for_each_arm(capsys):
+    """With small meshes the table has its three rows, and a number in every cell."""
+    meshes.main(["400"])
+    head, _, *rows = capsys.readouterr().out.splitlines()
+    assert [row.split(" | ")[0] for row in rows] == ["| none", "| seen", "| colliding"]
+    for row in rows:
+        cells = row.strip("| ").split(" | ")[1:]
+        assert len(cells) == head.count(" | ")
+        assert all(float(cell) >= 0 for cell in cells)
+        assert float(cells[-1]) > 10  # MB

@@ -63,6 +63,12 @@ def add(commands: Any) -> None:
     )
     part_options(parser)
     parser.add_argument(
+        "--first-seed",
+        type=whole(0),
+        metavar="N",
+        help="seed of the first data set, in studies that let it be chosen",
+    )
+    parser.add_argument(
         "--out",
         type=Path,
         metavar="DIR",
@@ -162,6 +168,7 @@ def run(arguments: argparse.Namespace) -> int:
             published=arguments.published,
             problems=arguments.problems,
             variants=named_variants(arguments),
+            first_seed=arguments.first_seed,
         ),
     )
 

@@ -145,7 +145,7 @@ def _rendered(result: "Result") -> "Media":
 def _simulator(result: "Result") -> "RobotSimulator":
     """The problem's simulator, if its model is still that of the run."""
     from dropo.core.services.errors import Incompatible
-    from dropo.mjmodel.loading import model_sum
+    from dropo.mjmodel.files.loading import model_sum
     from dropo.mjmodel.robot_simulator import RobotSimulator
     from dropo.problems.loading import load
 

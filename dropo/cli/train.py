@@ -211,7 +211,7 @@ def _refuse_other_model(folder: Path, target: Any) -> None:
     from dropo.core.records.saved_schema import SavedRun
     from dropo.core.services.errors import Incompatible
     from dropo.core.services.file_schema import read_saved
-    from dropo.mjmodel.loading import model_sum
+    from dropo.mjmodel.files.loading import model_sum
     from dropo.mjmodel.robot_simulator import RobotSimulator
 
     if not isinstance(target, Problem) or not isinstance(target.simulator, RobotSimulator):

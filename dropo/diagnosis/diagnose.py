@@ -1,7 +1,7 @@
 """Data and a model in; what the model gets wrong, and why, out."""
 
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence, Set
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -15,34 +15,45 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import BadArgument
 from dropo.core.services.evaluation_log import EvaluationLog
+from dropo.core.services.tables import number, steps_text
 from dropo.core.services.validation import Array, known, require
 from dropo.data.outliers.without_disturbances import WithoutDisturbances, without_disturbances
 from dropo.diagnosis.far_off.search import Explained, FarOffSearch, FarOffSettings
 from dropo.diagnosis.far_off.start import FarOffLimits, start_of, wiring_warnings
 from dropo.diagnosis.findings.causes import SETTINGS as CAUSES
-from dropo.diagnosis.findings.causes import causes, leaders, suspects
+from dropo.diagnosis.findings.causes import causes, covariance_of, leaders, suspects
 from dropo.diagnosis.findings.disturbances import left_out, outlier_runs
+from dropo.diagnosis.findings.every_horizon import (
+    Beyond,
+    EveryHorizonSettings,
+    beyond_noise,
+    in_words,
+    worse_after,
+)
 from dropo.diagnosis.findings.figures import figure_data
 from dropo.diagnosis.findings.horizons import (
+    AfterHorizon,
     Horizon,
-    beyond_windows,
+    after_horizons,
     errors_after,
     horizons,
     signal_noise,
+    with_numbers,
 )
 from dropo.diagnosis.findings.motion import motion
 from dropo.diagnosis.findings.not_identifiable import undetermined
 from dropo.diagnosis.findings.numerics import numerics, refused_delay, short_delay
 from dropo.diagnosis.findings.remaining import remaining
-from dropo.diagnosis.findings.replay import replay
+from dropo.diagnosis.findings.replay import Replay, replay
 from dropo.diagnosis.findings.stability import stability
 from dropo.diagnosis.findings.unexplained_forces import impulses, without_impulses
 from dropo.diagnosis.laws.discovery import LawSettings, WithLaws, find_laws
-from dropo.diagnosis.parts import Cause, Remaining
+from dropo.diagnosis.parts import Cause, Leader, Remaining
 from dropo.diagnosis.regression.quick import QuickSettings
 from dropo.diagnosis.result import Diagnosis, HeldOut
 from dropo.diagnosis.search.arithmetic import Arithmetic, Rivals
-from dropo.diagnosis.search.confirmation import SelectionSettings
+from dropo.diagnosis.search.bounds import at_bounds
+from dropo.diagnosis.search.confirmation import SelectionSettings, gain_of
 from dropo.diagnosis.search.invariance import invariance
 from dropo.diagnosis.search.library import LAW, instances_for, robot_of
 from dropo.diagnosis.search.linearization import Library, shift_linearization
@@ -59,6 +70,7 @@ from dropo.diagnosis.search.window_length import (
 )
 from dropo.diagnosis.search.windows import Windows, split, spread_of
 from dropo.evaluation.held_out import SETTINGS as HELD_OUT
+from dropo.mjmodel.options import physics_step
 
 
 @dataclass(frozen=True)
@@ -76,6 +88,8 @@ class DiagnosisSettings:
         How the windows' horizon is chosen.
     noise : NoiseSettings
         When the sensors' noise is not taken to be white.
+    horizons : EveryHorizonSettings
+        When errors after a horizon that is printed speak against an effect, or the verdict.
     laws : LawSettings
         How laws are looked for in what known effects leave unexplained.
     far_off : FarOffLimits or None
@@ -99,6 +113,7 @@ class DiagnosisSettings:
     selection: SelectionSettings = field(default_factory=SelectionSettings)
     window_length: WindowLengthSettings = field(default_factory=WindowLengthSettings)
     noise: NoiseSettings = field(default_factory=NoiseSettings)
+    horizons: EveryHorizonSettings = field(default_factory=EveryHorizonSettings)
     laws: LawSettings = field(default_factory=LawSettings)
 
 
@@ -332,12 +347,10 @@ class Diagnose:
         """What a search found, in figures; of one that was interrupted, only what is soon told."""
         data = setup.problem
         undisturbed = task.undisturbed
-        whole = data if undisturbed is None else task.problem
         library, selection = setup.library, setup.selection
         show = selection.progress
         far_off = setup.explained is not None
-        spent = task.spent
-        spent += setup.explained.simulator_steps if setup.explained is not None else 0
+        spent = task.spent + (setup.explained.simulator_steps if setup.explained else 0)
         first, last, reviews = searched.first, searched.last, searched.reviews
         complete = not searched.interrupted
         show(0.9, "what remains")
@@ -347,19 +360,19 @@ class Diagnose:
         declared = last.theta[: len(data.space)]
         laws = searched.laws
 
-        # What explains the data in part is no delay that is finer than the model's own steps.
-        if complete and not far_off and not rest.calibrated:
-            further = _without_short_delays(setup, searched)
-            if further is not None:
-                return self._result(task, *further, progress)
-
-        # Where known effects leave something, it may follow a law that none of them stands for.
-        if laws is None and complete and not far_off and self._wants_laws(library, last, rest):
-            further = self._with_laws(setup, searched, task.rng)
-            if further is not None:
-                return self._result(task, *further, progress)
+        further = self._further(setup, searched, rest, task.rng)
+        if further is not None:
+            return self._result(task, *further, progress)
 
         # How good each model is on data held out.
+        (draws,) = task.rng.spawn(1)
+        withouts = [reviews[one.label].without.theta for one in last.accepted] if complete else []
+        thetas = [nominal_of(library), first.theta, last.theta, *withouts]
+        after = after_horizons(data, library, thetas, last, draws)
+        worse = self._worse(after, searched)
+        if worse and not far_off and len(setup.worse) < self.settings.horizons.refused:
+            further = _without_worse(setup, searched, *next(iter(worse.items())))
+            return self._result(task, *further, progress)
         errors = _errors_without_and_with(data, library, last, reviews)
         found = causes(
             library,
@@ -370,7 +383,7 @@ class Diagnose:
             selection.settings,
             CAUSES if complete else replace(CAUSES, experiments=0),
             known=setup.errors(),
-            named=None if setup.explained is None else setup.explained.certain,
+            named=setup.certain(last) - worse.keys(),
             again=partial(stability, selection, partial(self._train, data)) if complete else None,
             laws={} if laws is None else laws.laws,
         )
@@ -379,35 +392,31 @@ class Diagnose:
             plain = replace(self, settings=replace(self.settings, far_off=None))
             spent += library.simulator.steps
             return plain._run(replace(task, spent=spent), progress)
-        thetas = [nominal_of(library), first.theta, last.theta]
-        (draws,) = task.rng.spawn(1)
-        nominal, fitted, with_causes = horizons(data, library, thetas, last, draws)
+        nominal, fitted, with_causes = (tuple(one.models[i] for one in after) for i in range(3))
         # With disturbances the windows' own horizon alone, on all data held out.
-        own_horizon = replace(HELD_OUT, horizons=())
         inside: list[list[Horizon]] = []
         if undisturbed is not None:
-            inside = horizons(whole, library, thetas, last, draws, own_horizon)
-
-        verdict = _verdict(found, not rest.calibrated)
-        beyond = () if far_off else _beyond(verdict, with_causes, setup.train.length)
+            own = replace(HELD_OUT, horizons=())
+            inside = horizons(task.problem, library, thetas[:3], last, draws, own)
+        rest, beyond = self._after_every_horizon(setup, after, last, rest, draws)
 
         # What figures and tables show.
         show(0.95, "what the pictures show")
         figures = figure_data(library, selection, first, last, reviews, forces, setup.count)
         shown = motion(data, library, first, last, fitted, with_causes)
         compared = self.disturbances and not (rest.calibrated or far_off) and complete
-        odd = outlier_runs(data, extended, declared) if compared else ()
-        replayed = None
-        if far_off and data.held_out is not None and complete:
-            replayed = replay(library.simulator, data.held_out, [first.theta, last.theta])
         return Diagnosis(
             name=data.name,
-            verdict=verdict,
+            verdict=_verdict(found, not rest.calibrated),
             causes=found,
             suspects=suspects(selection, last, setup.count),
-            leaders=leaders(selection, last, setup.count),
-            baseline=HeldOut(per_step(first), tuple(fitted)),
-            extended=HeldOut(per_step(last), tuple(with_causes)),
+            leaders=(
+                *setup.worse.values(),
+                *(one for label, one in worse.items() if label in setup.certain(last)),
+                *leaders(selection, last, setup.count),
+            ),
+            baseline=HeldOut(per_step(first), fitted),
+            extended=HeldOut(per_step(last), with_causes),
             remaining=rest,
             problem=extended,
             noise={
@@ -415,7 +424,7 @@ class Diagnose:
                 for signal, size in zip(simulator.signals, signal_noise(data, last), strict=True)
             },
             window_steps=setup.train.length,
-            nominal=tuple(nominal) if len(setup.free) and not far_off else (),
+            nominal=nominal if len(setup.free) and not far_off else (),
             parameters=dict(zip(data.space.names, declared.tolist(), strict=True)),
             undetermined=(*undetermined(library, last), *setup.ties),
             numerics=(
@@ -435,14 +444,35 @@ class Diagnose:
             if complete
             else (),
             disturbances=None if undisturbed is None else left_out(undisturbed, inside),
-            outlier_runs=odd,
-            replay=replayed,
+            outlier_runs=outlier_runs(data, extended, declared) if compared else (),
+            replay=_replayed(setup, searched) if far_off and complete else None,
             figures=figures,
             motion=shown,
-            warnings=(*data.warnings, *setup.warnings, *_not_white(library, last), *beyond),
+            warnings=(
+                *data.warnings,
+                *setup.warnings_of(last),
+                *_not_white(library, last),
+                *beyond,
+            ),
             simulator_steps=spent + library.simulator.steps,
             interrupted=searched.interrupted,
         )
+
+    def _further(
+        self, setup: "_Setup", searched: "_Searched", rest: Remaining, rng: np.random.Generator
+    ) -> "tuple[_Setup, _Searched] | None":
+        """A search that went on, where something remains; None where there is no more to do."""
+        if searched.interrupted or setup.explained is not None:
+            return None
+        # What explains the data in part is no delay that is finer than the model's own steps.
+        if not rest.calibrated:
+            further = _without_short_delays(setup, searched)
+            if further is not None:
+                return further
+        # Where known effects leave something, it may follow a law that none of them stands for.
+        if searched.laws is None and self._wants_laws(setup.library, searched.last, rest):
+            return self._with_laws(setup, searched, rng)
+        return None
 
     def _with_laws(
         self, setup: "_Setup", searched: "_Searched", rng: np.random.Generator
@@ -461,6 +491,50 @@ class Diagnose:
             return None
         setup = replace(setup, selection=laws.selection, library=laws.selection.library)
         return setup, _Searched(laws.first, laws.last, laws.reviews, laws=laws)
+
+    def _worse(self, after: Sequence[AfterHorizon], searched: "_Searched") -> dict[str, Leader]:
+        """The effects with which errors after some horizon are larger than without, by label.
+
+        after: of the model as it came, with its parameters fitted, with everything, and without
+        each effect; of the first three alone where the search was interrupted.
+        """
+        if searched.interrupted or not after:
+            return {}
+        found = []
+        for i, instance in enumerate(searched.last.accepted):
+            beyond = worse_after(after, 3 + i, 2, self.settings.horizons)
+            if beyond is not None:
+                found.append((instance, beyond))
+        found.sort(key=lambda one: -one[1].score)
+        return {one.label: _worse_leader(searched, one, beyond) for one, beyond in found}
+
+    def _after_every_horizon(
+        self,
+        setup: "_Setup",
+        after: Sequence[AfterHorizon],
+        last: State,
+        rest: Remaining,
+        rng: np.random.Generator,
+    ) -> tuple[Remaining, tuple[str, ...]]:
+        """What remains, with errors that noise does not explain after some horizon, whatever
+        windows say; and what to do then, a sentence each.
+        """
+        settings = self.settings.horizons
+        # The noise of velocities that were estimated, and of control steps, is known in windows.
+        other_noise = bool(setup.problem.estimated) or last.train.whiten.noise.timing > 0
+        usual = setup.train.length if other_noise else None
+        found = beyond_noise(after, 2, usual, settings)
+        if found and setup.explained is None and len(last.free):
+            # The numbers are not known exactly, which noise explains too.
+            covariance = covariance_of(setup.library, last)
+            more = with_numbers(
+                setup.problem, setup.library, last, covariance, after, rng, settings.draws
+            )
+            found = beyond_noise(more, 2, usual, settings)
+        if not found:
+            return rest, ()
+        told = _beyond(found, rest, setup.train.length)
+        return replace(rest, calibrated=False, where=(*rest.where, in_words(found))), told
 
     def _wants_laws(self, library: Library, last: State, rest: Remaining) -> bool:
         """Whether a law is to be looked for: something remains, or an effect only acts like it."""
@@ -593,6 +667,7 @@ class _Setup:
     noise: the first guess where it is coloured.
     refused: by their labels, effects that are no causes, with why, a sentence each.
     won: what its steps gained over the model's own [nats]; 0 if they are those.
+    worse: by their labels, effects with which errors after some horizon are larger.
     """
 
     problem: Problem
@@ -607,12 +682,14 @@ class _Setup:
     noise: Noise | None = None
     refused: Mapping[str, str] = field(default_factory=dict)
     won: float = 0.0
+    worse: Mapping[str, Leader] = field(default_factory=dict)
 
     @property
     def instances(self) -> list[EffectInstance]:
         """The effects that may be accepted."""
         everything = without_impulses(self.library.instances)
-        return [instance for instance in everything if instance.label not in self.refused]
+        out = {*self.refused, *self.worse}
+        return [instance for instance in everything if instance.label not in out]
 
     def first(self) -> State:
         """The model as it is, with its declared parameters and the noise fitted."""
@@ -645,10 +722,16 @@ class _Setup:
             reviews[label] = Review(without, None, ())
         return first, last, reviews
 
-    @property
-    def warnings(self) -> tuple[str, ...]:
+    def certain(self, last: State) -> Set[str]:
+        """The labels of the effects of a model that are told from nothing."""
+        labels = {instance.label for instance in last.accepted}
+        return labels if self.explained is None else labels & self.explained.certain
+
+    def warnings_of(self, last: State) -> tuple[str, ...]:
         """What makes the answer doubtful, a sentence each."""
-        return self.wiring if self.explained is None else (*self.wiring, *self.explained.warnings)
+        if self.explained is not None:
+            return (*self.wiring, *self.explained.warnings)
+        return (*self.wiring, *at_bounds(self.library, last.theta, last.free, last.accepted))
 
     @property
     def ties(self) -> tuple[str, ...]:
@@ -820,7 +903,7 @@ def _without_short_delays(setup: _Setup, searched: _Searched) -> tuple[_Setup, _
     They are what else is wrong looks like: a model says little of what happens within its steps.
     """
     library, last = setup.library, searched.last
-    step = float(robot_of(setup.problem).model.opt.timestep)
+    step = physics_step(robot_of(setup.problem).model)
     refused: dict[str, str] = {}
     indices: list[int] = []
     for instance in last.accepted:
@@ -832,14 +915,7 @@ def _without_short_delays(setup: _Setup, searched: _Searched) -> tuple[_Setup, _
             indices += own.tolist()
     if not refused:
         return None
-    selection = replace(
-        setup.selection,
-        origins={
-            label: _without_trials(batch, refused)
-            for label, batch in setup.selection.origins.items()
-        },
-        batches=[_without_trials(batch, refused) for batch in setup.selection.batches],
-    )
+    selection = _without(setup.selection, refused)
     setup = replace(setup, selection=selection, refused={**setup.refused, **refused})
     theta = last.theta.copy()
     theta[indices] = 0.0
@@ -849,6 +925,44 @@ def _without_short_delays(setup: _Setup, searched: _Searched) -> tuple[_Setup, _
     # More exact steps were tried beside them, and were not better.
     further, reviews = _explain(setup, searched.first, selection.polish(begun))
     return setup, replace(searched, last=further, reviews=reviews)
+
+
+def _without_worse(
+    setup: _Setup, searched: _Searched, label: str, leader: Leader
+) -> tuple[_Setup, _Searched]:
+    """The search gone on without an effect with which errors after some horizon are larger."""
+    worse = {**setup.worse, label: leader}
+    setup = replace(setup, selection=_without(setup.selection, [label]), worse=worse)
+    without = searched.reviews[label].without
+    further, reviews = _explain(setup, searched.first, without)
+    return setup, replace(searched, last=further, reviews=reviews)
+
+
+def _worse_leader(searched: _Searched, instance: EffectInstance, beyond: Beyond) -> Leader:
+    """What is said of an effect with which errors after some horizon are larger."""
+    gain, z = gain_of(searched.reviews[instance.label].without.test, searched.last.test)
+    after = f"errors after {steps_text(beyond.steps)} are {number(beyond.ratio, 3)} times"
+    return Leader(
+        effect=instance.effect,
+        target=instance.target,
+        variant=instance.variant,
+        gain=gain,
+        gain_se=gain / z if z > 0 else np.nan,
+        times=np.nan,
+        why=f"{after} those without it ({beyond.unit})",
+        steps=beyond.steps,
+    )
+
+
+def _without(selection: Selection, labels: Collection[str]) -> Selection:
+    """A search whose batches lack the trials of some effects."""
+    return replace(
+        selection,
+        origins={
+            label: _without_trials(batch, labels) for label, batch in selection.origins.items()
+        },
+        batches=[_without_trials(batch, labels) for batch in selection.batches],
+    )
 
 
 def _without_trials(batch: Batch, refused: Collection[str]) -> Batch:
@@ -864,6 +978,14 @@ def _errors_without_and_with(
     thetas = [reviews[instance.label].without.theta for instance in last.accepted]
     *without, everything = errors_after(problem, library, [*thetas, last.theta], last)
     return [(errors.overall, everything.overall) for errors in without]
+
+
+def _replayed(setup: _Setup, searched: _Searched) -> Replay | None:
+    """Whole runs held out, by commands alone, where there are such."""
+    data = setup.problem.held_out
+    if data is None:
+        return None
+    return replay(setup.library.simulator, data, [searched.first.theta, searched.last.theta])
 
 
 def _refuse_constant(problem: Problem, train: Windows) -> None:
@@ -895,10 +1017,15 @@ def _not_white(library: Library, last: State) -> tuple[str, ...]:
     return tuple(told)
 
 
-def _beyond(verdict: str, last: Sequence[Horizon], length: int) -> tuple[str, ...]:
-    """What the printed errors show beyond a verdict that nothing remains."""
-    told = beyond_windows(last, length) if verdict in ("consistent", "explained") else None
-    return () if told is None else (told,)
+def _beyond(misfits: Sequence[Beyond], rest: Remaining, length: int) -> tuple[str, ...]:
+    """What to do where nothing remains within the windows, but after longer horizons."""
+    longer = [one.steps for one in misfits if one.steps > length]
+    if not rest.calibrated or not longer:
+        return ()
+    return (
+        f"within windows of {steps_text(length)} nothing remains, beyond them something does: "
+        f"diagnose with --steps {longer[0]}",
+    )
 
 
 def _verdict(found: Sequence[Cause], wrong: bool) -> str:

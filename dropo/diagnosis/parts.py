@@ -204,7 +204,8 @@ class Cause:
     confused_with : tuple of Alternative
         What the data cannot tell from it.
     acts_like : str or None
-        The variable with which its size differs, where it is no true cause.
+        The variable with which its size differs; None where none is known. Whether the effect is
+        stated as a cause is a matter of the whole diagnosis: see `Diagnosis.stated`.
     stability : Stability or None
         Where else it is named; None where that was not tried, as where whole motions were fitted.
     formula : str
@@ -333,6 +334,10 @@ class Leader:
     times : float
         How many times as much data would confirm it, if it goes on gaining like this; infinite or
         NaN where no amount would.
+    why : str
+        Why it is no cause all the same, where data held out are sure of the gain; else "".
+    steps : int
+        The horizon [control steps] that speaks against it then; else 0.
     """
 
     effect: str
@@ -341,12 +346,18 @@ class Leader:
     gain: float
     gain_se: float
     times: float
+    why: str = ""
+    steps: int = 0
 
     @property
     def sentence(self) -> str:
-        """What was not confirmed, and what to record."""
+        """What was not confirmed, and what to do."""
         place = effect_in_words(self.effect, self.target, self.variant)
         gain = f"{number(self.gain, 3)} +- {number(self.gain_se, 2)} nats on data held out"
+        if self.why:
+            return (
+                f"not accepted: {place}, {gain}, but {self.why}; diagnose with --steps {self.steps}"
+            )
         record = "record other motion"
         if np.isfinite(self.times):
             record = f"record {number(max(2.0, self.times), 2)} times as much to be sure"
@@ -371,6 +382,8 @@ class Leader:
             gain=saved["gain"],
             gain_se=number_or_nan(saved["gain_se"]),
             times=number_or_nan(saved["times"]),
+            why=saved.get("why", ""),
+            steps=saved.get("steps", 0),
         )
 
 
@@ -404,6 +417,24 @@ class Remaining:
             "where": list(self.where),
             "forces": dict(self.forces),
         }
+
+
+def are_stated(verdict: str) -> bool:
+    """Say whether the effects that a diagnosis names are stated as causes.
+
+    They are where nothing remains unexplained beside them. Elsewhere what is missing acts like
+    them: something else may be behind each.
+
+    Parameters
+    ----------
+    verdict : {"consistent", "explained", "partly", "unexplained"}
+        Of the diagnosis.
+
+    Returns
+    -------
+    bool
+    """
+    return verdict == "explained"
 
 
 def effect_in_words(effect: str, target: str | None, variant: str, formula: str = "") -> str:

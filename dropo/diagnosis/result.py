@@ -16,7 +16,7 @@ from dropo.data.outliers.outlier_runs import OutlierRun
 from dropo.diagnosis.findings.disturbances import LeftOut
 from dropo.diagnosis.findings.horizons import Horizon
 from dropo.diagnosis.findings.replay import Replay
-from dropo.diagnosis.parts import Cause, Leader, Remaining, Suspect
+from dropo.diagnosis.parts import Cause, Leader, Remaining, Suspect, are_stated
 
 VERDICTS = {
     "consistent": "The simulation explains the data: nothing is missing that they could show.",
@@ -144,6 +144,14 @@ class Diagnosis(Report):
         """What the causes gain on data held out [nats per transition]."""
         return self.extended.log_likelihood - self.baseline.log_likelihood
 
+    @property
+    def stated(self) -> tuple[Cause, ...]:
+        """The causes that are stated as such: all where they explain the data, else none.
+
+        Of the others it is only said that what is missing acts like them (`are_stated`).
+        """
+        return self.causes if are_stated(self.verdict) else ()
+
     def alternatives(self) -> list[dict[str, Any]]:
         """The sets of causes that the data cannot tell from the one named.
 
@@ -168,7 +176,7 @@ class Diagnosis(Report):
         """The finding in a few sentences."""
         sentences = [self._error_sentence()] if self.baseline.horizons else []
         for cause in self.causes:
-            sentences += _cause_sentences(cause, certain=self.verdict == "explained")
+            sentences += _cause_sentences(cause, stated=cause in self.stated)
         sentences.append(INTERRUPTED if self.interrupted else VERDICTS[self.verdict])
         if self.verdict in ("partly", "unexplained") and self.remaining.where:
             sentences.append(f"It shows in {'; '.join(self.remaining.where)}.")
@@ -237,6 +245,7 @@ class Diagnosis(Report):
                 "held_out_gain": cause.held_out_gain,
                 "held_out_gain_se": cause.held_out_gain_se,
                 "acts_like": cause.acts_like,
+                "stated": cause in self.stated,
             }
             for cause in self.causes
             for name, found in cause.estimate.items()
@@ -252,7 +261,10 @@ class Diagnosis(Report):
             "status": "interrupted" if self.interrupted else "done",
             "headline": self.headline(),
             "problem": self.name,
-            "causes": [cause.to_json(i + 1) for i, cause in enumerate(self.causes)],
+            "causes": [
+                {**cause.to_json(i + 1), "stated": cause in self.stated}
+                for i, cause in enumerate(self.causes)
+            ],
             "suspects": [suspect.to_json() for suspect in self.suspects],
             "leaders": [leader.to_json() for leader in self.leaders],
             "alternatives": self.alternatives(),
@@ -317,12 +329,12 @@ def _number(error: float) -> str:
     return number(error, 3) if np.isfinite(error) else "diverges"
 
 
-def _cause_sentences(cause: Cause, *, certain: bool) -> list[str]:
+def _cause_sentences(cause: Cause, *, stated: bool) -> list[str]:
     """The cause, what differs with its size, and what it cannot be distinguished from.
 
-    certain: whether nothing is left that may be another cause, which this one stands for in part.
+    stated: whether it is one of `Diagnosis.stated`.
     """
-    sentences = [f"{'Cause' if certain else 'Acts like'}: {cause.sentence}."]
+    sentences = [f"{'Cause' if stated else 'Acts like'}: {cause.sentence}."]
     if cause.acts_like:
         sentences.append(f"Its size differs with {cause.acts_like}.")
     doubt = None if cause.stability is None else cause.stability.doubt()

@@ -4,7 +4,6 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from dropo.core.contracts.effect import (
@@ -18,8 +17,9 @@ from dropo.core.services.errors import BadArgument
 from dropo.core.services.validation import Array, known
 from dropo.effects.support.formula import Units, read_formula
 from dropo.effects.support.formula_values import Program, evaluate
-from dropo.mjmodel.forces import joint_loads, motor_force, motors
+from dropo.mjmodel.dynamics.forces import joint_loads, motor_force, motors
 from dropo.mjmodel.joints import Joint, actuators, joints
+from dropo.mjmodel.kinematics import centre_motion
 from dropo.mjmodel.names import element_names
 
 COMMAND = "command"
@@ -337,15 +337,7 @@ def _body_force(
     body: int, axis: int, program: Program, state: StepState, magnitudes: Array
 ) -> Array:
     """The generalised forces of a law's force at a body's centre of mass."""
-    data = mujoco.MjData(state.model)
-    jacobians = np.zeros((len(state.qpos), 3, state.model.nv))
-    points = np.zeros((len(state.qpos), 3))
-    for i in range(len(points)):
-        data.qpos[:] = state.qpos[i]
-        mujoco.mj_kinematics(state.model, data)
-        mujoco.mj_comPos(state.model, data)
-        mujoco.mj_jacBodyCom(state.model, data, jacobians[i], None, body)
-        points[i] = data.xipos[body]
+    points, jacobians = centre_motion(state, body)
     speeds = np.einsum("nij,nj->ni", jacobians, state.qvel)
     values = {("t", ""): state.time, ("speed", ""): np.linalg.norm(speeds, axis=1)}
     for i, name in enumerate(("x", "y", "z")):

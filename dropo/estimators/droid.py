@@ -93,7 +93,7 @@ class DROID(Estimator):
         """The optimizer, which must have a covariance."""
         further = {"restarts": 0} if self.optimizer == "cma-es" else {}
         search = find("optimizers", self.optimizer)(d, rng, budget=self.budget, **further)
-        if not hasattr(search, "covariance"):
+        if search.covariance is None:
             raise Incompatible(
                 "DROID reads its distribution from the optimizer's covariance, and"
                 f" {self.optimizer!r} has none. Use 'cma-es'."

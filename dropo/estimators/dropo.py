@@ -480,11 +480,13 @@ class DROPO(Estimator):
         found: SearchResult,
     ) -> float | None:
         """The degrees of freedom that the residuals of a Gaussian fit ask for, if they may."""
-        moments = getattr(objective, "moments", None)
         learned = self.noise == AUTOMATIC and noise.learned == "each" and noise.degrees is None
-        if not learned or moments is None or found.status is Status.INTERRUPTED:
+        if not learned or found.status is Status.INTERRUPTED:
             return None
-        mean, covariance = moments(found.point)
+        moments = objective.moments(found.point)
+        if moments is None:
+            return None
+        mean, covariance = moments
         factors = found.point[len(family.unknowns) :]
         targets = problem.simulator.targets(problem.segments)
         return tail_degrees(targets - mean, covariance, factors > TAILS.rounding)

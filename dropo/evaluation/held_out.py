@@ -205,6 +205,11 @@ def thin(starts: Ints, count: int) -> Ints:
     return starts[np.linspace(0, len(starts) - 1, count).round().astype(np.int64)]
 
 
+def held_out_starts(part: DataPart, horizon: int, settings: HeldOutSettings = SETTINGS) -> Ints:
+    """Return the first rows (W,) of the windows of `held_out_windows`, whose arguments it takes."""
+    return thin(window_starts(part, horizon), settings.count(horizon))
+
+
 def held_out_windows(
     part: DataPart, horizon: int, settings: HeldOutSettings = SETTINGS
 ) -> Segments:
@@ -227,7 +232,7 @@ def held_out_windows(
     Segments
         W windows with one row each; none where no block is so long.
     """
-    starts = thin(window_starts(part, horizon), settings.count(horizon))
+    starts = held_out_starts(part, horizon, settings)
     return part.trajectories.from_rows(starts, horizon)
 
 

@@ -7,7 +7,7 @@ from typing import Any
 from dropo.core.contracts.effect import EffectInstance
 from dropo.core.services.validation import Array
 from dropo.exports.support.subject import Subject, Written, effects_left_out
-from dropo.mjmodel.drives import drives_of
+from dropo.mjmodel.dynamics.drives import drives_of
 
 ACTUATORS = ("mx64", "mx106", "xl320", "xl330", "xc330m288t", "erob80_50", "erob80_100", "sts3215")
 """Actuators that BAM knows, by which a servo's name is recognized."""

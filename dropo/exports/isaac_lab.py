@@ -17,7 +17,7 @@ from dropo.exports.support.subject import (
     others_left_out,
     remarks_of,
 )
-from dropo.mjmodel.drives import Drive, drives_of
+from dropo.mjmodel.dynamics.drives import Drive, drives_of
 
 CHECKED = "2.3.2"
 """The version of Isaac Lab whose functions and settings are named here."""

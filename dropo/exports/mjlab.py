@@ -15,7 +15,7 @@ from dropo.exports.support.subject import (
     others_left_out,
     remarks_of,
 )
-from dropo.mjmodel.drives import Drive, Servo, drives_of, servo_of
+from dropo.mjmodel.dynamics.drives import Drive, Servo, drives_of, servo_of
 
 CHECKED = "1.6.0"
 """The version of mjlab whose functions are named here."""

@@ -15,11 +15,11 @@ from dropo.exports.support.subject import (
     NO_SPREAD,
     Subject,
     Written,
-    array_of,
     changed_by,
     remarks_of,
 )
-from dropo.problems.file.plain_model import SENSOR, changed_numbers, format_plain_model
+from dropo.mjmodel.numbers import array_of, changed_numbers, derive_constants, set_number
+from dropo.problems.file.plain_model import SENSOR, format_plain_model
 from dropo.simulators.mujoco.plain_robot import write_numbers
 
 HEADER = '''"""Parameters drawn from what was fitted, for plain MuJoCo.
@@ -108,31 +108,9 @@ class ParameterWriter:
             magnitudes = values[list(columns)] if columns else sizes
             if np.any(magnitudes):
                 function(model, magnitudes)
-        mujoco.mj_setConst(model, mujoco.MjData(model))
+        derive_constants(model)
         for field, place, _, column, factor in self.keeps:
             set_number(model, field, place, factor * own[column])
-
-
-def set_number(model: mujoco.MjModel, field: str, place: tuple[int, ...], number: float) -> None:
-    """Set one number of a model.
-
-    Parameters
-    ----------
-    model : mujoco.MjModel
-        The model, which is changed.
-    field : str
-        An array of the model, or an entry of its options with "opt." before it.
-    place : tuple of int
-        Where in the array; of an option that is a single number, it is not read.
-    number : float
-        The number, in the field's unit.
-    """
-    owner = model.opt if field.startswith("opt.") else model
-    name = field.removeprefix("opt.")
-    if isinstance(getattr(owner, name), np.ndarray):
-        getattr(owner, name)[tuple(place)] = number
-    else:
-        setattr(owner, name, float(number))
 
 
 def mujoco_python(subject: Subject) -> Written:

@@ -213,6 +213,7 @@ class _RandomEffects(GroupedLogLikelihood):
     """
 
     has_gradients = True
+    simulator: Simulator
 
     def __init__(
         self,

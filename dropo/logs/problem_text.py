@@ -8,9 +8,9 @@ import numpy as np
 
 from dropo.core.services.strict_yaml import format_yaml
 from dropo.core.services.validation import Array
-from dropo.mjmodel.drives import servo_of
-from dropo.mjmodel.forces import inverse_forces
-from dropo.mjmodel.joints import Joint, ModelJoints
+from dropo.mjmodel.dynamics.drives import servo_of
+from dropo.mjmodel.dynamics.forces import inverse_forces
+from dropo.mjmodel.joints import Joint, ModelJoints, numbers_of
 
 HEAD = """\
 # Written by `dropo {command}`, which writes it anew until you change it. All keys: `dropo schema`.
@@ -194,7 +194,7 @@ class _Bounds:
         self._robot = robot
         self._settings = settings
         self._joints = [one for one in robot.joints.values() if one.kind in ("hinge", "slide")]
-        self._inertia = np.array([robot.model.dof_M0[one.qvel] for one in self._joints])
+        self._inertia = np.array([numbers_of(robot.model, one).inertia for one in self._joints])
         self._forces, self._speeds = self._sizes(motion, control_step)
 
     def _sizes(
@@ -230,14 +230,13 @@ class _Bounds:
 
     def _high(self, i: int) -> dict[str, float]:
         """The upper bounds of a joint."""
-        model = self._robot.model
-        place = self._joints[i].qvel
+        own = numbers_of(self._robot.model, self._joints[i])
         force = max(self._forces[i], 0.3 * self._forces.max())
         armature = max(10 * self._inertia[i], self._inertia.max())
         highs = {
-            "dof_armature": max(armature, 2 * model.dof_armature[place]),
-            "dof_damping": max(force / self._speeds[i], 2 * model.dof_damping[place]),
-            "dof_frictionloss": max(0.5 * force, 2 * model.dof_frictionloss[place]),
+            "dof_armature": max(armature, 2 * own.armature),
+            "dof_damping": max(force / self._speeds[i], 2 * own.damping),
+            "dof_frictionloss": max(0.5 * force, 2 * own.friction),
         }
         return {name: _round_up(high) for name, high in highs.items()}
 

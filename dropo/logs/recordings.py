@@ -253,7 +253,7 @@ def _read_table(
         for column in channel.columns:
             _require_column(column, there, log, mapping, f"{channel.key}.column")
             needed.append(column)
-    stamp = source.clock.column or _own_stamps(log, source)
+    stamp = source.clock.column or log.stamps(source.topic)
     if stamp is None and mapping.rate is None:
         expected = f"the rows of a second [Hz], since {log.path} has no time stamps"
         raise mapping.refusal("rate", expected, "nothing")
@@ -274,12 +274,6 @@ def _read_table(
         raise BadFile(log.path, f"column {stamp!r}", "time stamps: numbers or dates", "texts")
     stamps = None if stamp is None else found[stamp]
     return _SourceTable(source, channels, found, stamps, None if run is None else found[run])
-
-
-def _own_stamps(log: Log, source: Source) -> str | None:
-    """The log's own column of stamps."""
-    stamps = getattr(log, "stamps", None)
-    return stamps(source.topic) if stamps is not None else log.time_column
 
 
 def _require_column(column: str, there: list[str], log: Log, mapping: Mapping, key: str) -> None:

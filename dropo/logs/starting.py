@@ -43,9 +43,8 @@ from dropo.logs.preparing import clean_run, compare_velocities
 from dropo.logs.readers.reader import Progress, open_log
 from dropo.logs.recordings import LogRun, read_runs
 from dropo.logs.sensor_pairs import sensor_pairs
-from dropo.mjmodel.joints import ModelJoints, model_joints
-from dropo.mjmodel.loading import load_model
-from dropo.mjmodel.robots import (
+from dropo.mjmodel.files.loading import load_model
+from dropo.mjmodel.files.robots import (
     DriveGuess,
     Robot,
     add_drives,
@@ -54,6 +53,7 @@ from dropo.mjmodel.robots import (
     load_spec,
     write_spec,
 )
+from dropo.mjmodel.joints import ModelJoints, model_joints
 
 MAP = "map.yaml"
 MODEL = "model.xml"

@@ -66,10 +66,14 @@ def posed(model: mujoco.MjModel, qpos: Array | None = None) -> mujoco.MjData:
         With the places of everything.
     """
     data = mujoco.MjData(model)
-    if qpos is not None:
-        data.qpos[:] = qpos
-    mujoco.mj_fwdPosition(model, data)
+    move(model, data, data.qpos.copy() if qpos is None else qpos)
     return data
+
+
+def move(model: mujoco.MjModel, data: mujoco.MjData, qpos: Array) -> None:
+    """Move the `data` of a `model` to joint positions `qpos` (nq,), with the places of all."""
+    data.qpos[:] = qpos
+    mujoco.mj_fwdPosition(model, data)
 
 
 def moving_geoms(model: mujoco.MjModel) -> NDArray[np.int64]:

@@ -25,6 +25,37 @@ def moving_bodies(model: mujoco.MjModel) -> list[tuple[int, str]]:
     return [(body, element_name(model, "body", body)) for body in np.flatnonzero(moving).tolist()]
 
 
+def body_masses(model: mujoco.MjModel) -> Array:
+    """Return the masses (nbody,) of all bodies, the world first [kg]."""
+    return np.array(model.body_mass)
+
+
+def moving_mass(model: mujoco.MjModel) -> float:
+    """Return the mass of all bodies that can move [kg]."""
+    masses = body_masses(model)
+    return float(sum(masses[body] for body, _ in moving_bodies(model)))
+
+
+def mass_centre(model: mujoco.MjModel, body: int) -> Array:
+    """Return the centre of mass (3,) of a `body`, in its own frame [m]."""
+    return np.array(model.body_ipos[body])
+
+
+def principal_inertia(model: mujoco.MjModel, body: int) -> Array:
+    """Return the principal moments of inertia (3,) of a `body` [kg m^2]."""
+    return np.array(model.body_inertia[body])
+
+
+def body_place(model: mujoco.MjModel, body: int) -> Array:
+    """Return where the frame (3,) of a `body` is in that of its parent, in no motion [m]."""
+    return np.array(model.body_pos[body])
+
+
+def contact_margin(model: mujoco.MjModel, geom: int) -> float:
+    """Return the distance at which contacts of a `geom` begin [m]."""
+    return float(model.geom_margin[geom])
+
+
 def contact_geoms(model: mujoco.MjModel) -> list[tuple[int, str]]:
     """List the geoms of bodies, the world left out, that can be in contact.
 
@@ -128,3 +159,8 @@ def write_inertia(model: mujoco.MjModel, body: int, inertia: Array) -> None:
     axes[:, 2] *= np.sign(np.linalg.det(axes))
     model.body_inertia[body] = moments
     mujoco.mju_mat2Quat(model.body_iquat[body], axes.ravel())
+
+
+def write_mass(model: mujoco.MjModel, body: int, mass: float) -> None:
+    """Write the `mass` [kg] of a `body` into a `model`, which is changed in place."""
+    model.body_mass[body] = mass

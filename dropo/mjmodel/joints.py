@@ -7,8 +7,9 @@ import mujoco
 import numpy as np
 
 from dropo.core.services.validation import Array
-from dropo.mjmodel.loading import load_model
+from dropo.mjmodel.files.loading import load_model
 from dropo.mjmodel.names import KINDS, actuator_names, driven_joints, joint_names
+from dropo.mjmodel.options import gravity, integrator, physics_step
 from dropo.mjmodel.sensors import Sensor, named_sensors
 
 _POSITION_UNITS = {
@@ -101,6 +102,34 @@ class Joint:
 
 
 @dataclass(frozen=True)
+class JointNumbers:
+    """What a model says of a slide or hinge.
+
+    Attributes
+    ----------
+    armature : float
+        Reflected inertia [kg or kg m^2].
+    damping : float
+        Viscous friction [N s/m or N m s/rad].
+    friction : float
+        Dry friction [N or N m].
+    stiffness : float
+        Of its spring [N/m or N m/rad].
+    rest : float
+        Where the spring rests [m or rad].
+    inertia : float
+        What moves with it in the model's reference pose [kg or kg m^2].
+    """
+
+    armature: float
+    damping: float
+    friction: float
+    stiffness: float
+    rest: float
+    inertia: float
+
+
+@dataclass(frozen=True)
 class Actuator:
     """An actuator of a model.
 
@@ -159,7 +188,7 @@ class ModelJoints:
     @property
     def timestep(self) -> float:
         """The physics step [s]."""
-        return float(self.model.opt.timestep)
+        return physics_step(self.model)
 
     @property
     def velocity_lag(self) -> float:
@@ -168,8 +197,7 @@ class ModelJoints:
         Semi-implicit integrators move a position by the velocity of the end of the step, so that
         the velocity of a state is that of the middle of the step before; that of RK4 is not late.
         """
-        semi_implicit = self.model.opt.integrator != mujoco.mjtIntegrator.mjINT_RK4
-        return self.timestep / 2 if semi_implicit else 0.0
+        return 0.0 if integrator(self.model) == "RK4" else self.timestep / 2
 
     @property
     def heaviest_body(self) -> tuple[str, float]:
@@ -180,7 +208,7 @@ class ModelJoints:
     @property
     def gravity(self) -> Array:
         """(3,) gravity in the world's axes [m/s^2]."""
-        return np.array(self.model.opt.gravity)
+        return gravity(self.model)
 
 
 def load_model_joints(path: str | Path) -> ModelJoints:
@@ -325,3 +353,37 @@ def actuators(model: mujoco.MjModel) -> list[Actuator]:
         limits = (low, high) if model.actuator_ctrllimited[i] else None
         found.append(Actuator(i, name, limits, every[driven[i]] if driven[i] >= 0 else None))
     return found
+
+
+def numbers_of(model: mujoco.MjModel, joint: Joint) -> JointNumbers:
+    """Read what a `model` says of a slide or hinge `joint`."""
+    dof = joint.qvel
+    return JointNumbers(
+        armature=float(model.dof_armature[dof]),
+        damping=float(np.ravel(model.dof_damping[dof])[0]),
+        friction=float(model.dof_frictionloss[dof]),
+        stiffness=float(np.ravel(model.jnt_stiffness[joint.id])[0]),
+        rest=float(model.qpos_spring[joint.qpos]),
+        inertia=float(model.dof_M0[dof]),
+    )
+
+
+def inertias(model: mujoco.MjModel) -> Array:
+    """Return what moves with each degree of freedom (nv,) in the reference pose [kg or kg m^2]."""
+    return np.array(model.dof_M0)
+
+
+def dry_frictions(model: mujoco.MjModel) -> Array:
+    """Return the dry friction (nv,) at each degree of freedom [N or N m]."""
+    return np.array(model.dof_frictionloss)
+
+
+def reference_pose(model: mujoco.MjModel) -> Array:
+    """Return the positions (nq,) in which a `model` begins [m, rad]."""
+    return np.array(model.qpos0)
+
+
+def command_limits(model: mujoco.MjModel) -> Array:
+    """Return the lower and upper limits (2, nu) of commands, infinite where there are none."""
+    limited = np.asarray(model.actuator_ctrllimited, dtype=bool)
+    return np.where(limited, model.actuator_ctrlrange.T, np.array([[-np.inf], [np.inf]]))

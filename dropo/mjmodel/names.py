@@ -4,6 +4,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from dropo.core.services.validation import known
+
 KINDS = ("free", "ball", "slide", "hinge")
 """The kinds of joints, in the order of MuJoCo's `mjtJoint`."""
 
@@ -29,6 +31,31 @@ def element_names(model: mujoco.MjModel, kind: str) -> dict[str, int]:
     if kind == "actuator":
         return {name: i for i, name in enumerate(actuator_names(model))}
     return {name: i for i, name in enumerate(_given(model, kind)) if name}
+
+
+def element_id(model: mujoco.MjModel, kind: str, name: str) -> int:
+    """Find an element by its name.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+    kind : str
+        "body", "joint", "actuator", "geom", "sensor" or another of MuJoCo's.
+    name : str
+        As `element_names` lists it.
+
+    Returns
+    -------
+    int
+
+    Raises
+    ------
+    UnknownName
+        If there is none of that name; with the nearest valid one.
+    """
+    names = element_names(model, kind)
+    return names[known(kind, name, names)]
 
 
 def element_name(model: mujoco.MjModel, kind: str, index: int) -> str:

@@ -10,8 +10,14 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from dropo.core.contracts.effect import ActiveEffects, EffectContext, EffectInstance
+from dropo.core.contracts.effect import (
+    ActiveEffects,
+    EffectContext,
+    EffectInstance,
+    RecordedPast,
+)
 from dropo.core.contracts.simulator import Simulator
+from dropo.core.records.trajectories import Ints, Segments
 from dropo.core.services.validation import Array
 from dropo.mjmodel.fields import Binding
 from dropo.mjmodel.names import actuator_names
@@ -28,6 +34,9 @@ class RobotSimulator(Simulator):
     ----------
     model : MjModel
         The compiled model, without parameters and effects written into it.
+    simulated : MjModel
+        The same without meshes and textures that are only seen, which is what is stepped and
+        copied; elements have the same places in both.
     frame_skip : int
         The physics steps for which an action is held.
     control_step : float
@@ -45,6 +54,7 @@ class RobotSimulator(Simulator):
     """
 
     model: mujoco.MjModel
+    simulated: mujoco.MjModel
     frame_skip: int
     control_step: float
     nominal: Array
@@ -64,6 +74,46 @@ class RobotSimulator(Simulator):
     @abstractmethod
     def effect_context(self) -> EffectContext:
         """The robot for which effects are offered."""
+
+    @abstractmethod
+    def model_of(self, values: Array, active: ActiveEffects = ()) -> mujoco.MjModel:
+        """Make a copy of the model with parameters and effects written into it.
+
+        Parameters
+        ----------
+        values : (d,) array
+            The declared parameters; what follows them is left out.
+        active : sequence of (EffectInstance, (q,) array)
+            Effects with their magnitudes, of which those count that change numbers of the model.
+
+        Returns
+        -------
+        MjModel
+        """
+
+    @abstractmethod
+    def commands_of(self, actions: Array) -> Array:
+        """Make commands (..., nu) of actions (..., q); actuators without one get 0."""
+
+    @abstractmethod
+    def recorded_past(self, segments: Segments, block: Ints) -> RecordedPast:
+        """Give what was recorded before some segments begin.
+
+        Parameters
+        ----------
+        segments : Segments
+            N segments.
+        block : (n,) array of int
+            Which of them.
+
+        Returns
+        -------
+        RecordedPast
+        """
+
+    @abstractmethod
+    def without_parameters(self) -> "RobotSimulator":
+        """Make the same simulator without declared parameters, at the model's own numbers."""
 
     @abstractmethod
     def with_finer_steps(self, times: int) -> "RobotSimulator":

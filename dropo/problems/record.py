@@ -12,7 +12,7 @@ from dropo.core.contracts.prior import describe
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.plugin_files import plugin_sums
-from dropo.mjmodel.loading import model_sum
+from dropo.mjmodel.files.loading import model_sum
 
 
 def problem_record(problem: Problem) -> dict[str, Any]:
@@ -30,7 +30,7 @@ def problem_record(problem: Problem) -> dict[str, Any]:
     """
     plugins = plugin_sums()
     simulator = problem.simulator
-    model = getattr(simulator, "model", None)
+    model = simulator.model
     return {
         "problem": problem.name,
         "simulator": type(simulator).__name__,

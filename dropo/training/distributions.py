@@ -275,7 +275,8 @@ def variances_of(distribution: ParameterDistribution) -> Array | None:
     (p,) array or None
         Variances in the signals' units squared; None for what is no fit.
     """
-    return getattr(full_width(distribution), "epsilon", None)
+    whole = full_width(distribution)
+    return whole.epsilon if isinstance(whole, Fit) else None
 
 
 def places_of(distribution: ParameterDistribution) -> dict[str, dict[str, Any]]:

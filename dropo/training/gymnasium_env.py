@@ -7,13 +7,14 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
-import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.validation import Array
+from dropo.mjmodel.dynamics.forces import add_contact_forces
+from dropo.mjmodel.options import disabled
 from dropo.simulators.mujoco.episodes import Episodes
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 from dropo.training.batched_env import BatchedEnv, Outcome, Seeds
@@ -78,7 +79,7 @@ class BatchedGymnasiumEnv(BatchedEnv):
             simulator,
             len(self.envs),
             threads=threads,
-            flags=int(inner.model.opt.disableflags),
+            flags=disabled(inner.model),
             whole=True,
         )
         super().__init__(name, episodes, fill, distribution, noise)
@@ -162,7 +163,7 @@ class BatchedGymnasiumEnv(BatchedEnv):
                 raise _Diverged
         self.episodes.give(i, data=inner.data)
         # as Gymnasium does after its steps
-        mujoco.mj_rnePostConstraint(inner.model, inner.data)
+        add_contact_forces(inner.model, inner.data)
 
     def close(self) -> None:
         """Close the environments."""

@@ -10,6 +10,7 @@ from dropo.core.records.task import Task
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.validation import Array
+from dropo.mjmodel.joints import command_limits
 from dropo.simulators.mujoco.episodes import Episodes
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 from dropo.training.batched_env import BatchedEnv, Bools, Outcome, Seeds
@@ -72,10 +73,7 @@ class BatchedTaskEnv(BatchedEnv):
         """Returns the limits (2, q) of the actions, infinite where an actuator has none."""
         if self.task.limits is not None:
             return np.asarray(self.task.limits, dtype=float)
-        model = self.episodes.simulator.model
-        limited = np.asarray(model.actuator_ctrllimited[self._controls], dtype=bool)
-        ranges = model.actuator_ctrlrange[self._controls].T
-        return np.where(limited, ranges, np.array([[-np.inf], [np.inf]]))
+        return command_limits(self.episodes.simulator.model)[:, self._controls]
 
     def _reset(self, ids: Ints, seeds: Seeds) -> Array:
         streams = [self._streams[i].starts for i in ids.tolist()]

@@ -10,6 +10,7 @@ from numpy.random import Generator
 from numpy.typing import ArrayLike
 
 from dropo.core.contracts.effect import ActiveEffects
+from dropo.core.records.fit import Fit
 from dropo.training.ars import ARS
 from dropo.training.distributions import Curriculum, ParameterDistribution, Predictive
 from dropo.training.environments import Target, resolve
@@ -196,7 +197,6 @@ def distribution_name(distribution: ParameterDistribution | None) -> str:
         return f"{full}, widening over {distribution.steps} steps"
     if isinstance(distribution, Predictive):
         return f"{distribution_name(distribution.fit)}, with the uncertainty of its means"
-    method = getattr(distribution, "method", None)
-    if method:
-        return f"{method} fit of {getattr(distribution, 'problem', '?')}"
+    if isinstance(distribution, Fit):
+        return f"{distribution.method} fit of {distribution.problem}"
     return type(distribution).__name__.lower()

@@ -14,6 +14,7 @@ from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import BadArgument, Incompatible, SimulationFailed, UnknownName
 from dropo.problems.simulated.slide import slide
 from dropo.simulators.mujoco.simulator import MujocoSimulator
+from dropo.studies.benchmark.answers import causes_of
 from tests.models.hidden_in_arm import SOME, UPPER, problem
 
 FAST = Diagnose((*SOME, "sensor_bias", "body_mass"), windows=24)
@@ -110,9 +111,20 @@ def test_headline_says_it_in_words(damped):
 
 def test_what_explains_in_part_is_not_called_the_cause(damped):
     """Where something remains, another cause may be behind it."""
-    text = replace(damped, verdict="partly").headline()
+    partly = replace(damped, verdict="partly")
+    text = partly.headline()
     assert "Acts like: joint damping at elbow" in text
     assert "Cause:" not in text
+    assert (damped.stated, partly.stated) == (damped.causes, ())
+
+
+def test_every_output_states_the_same_causes(damped):
+    """JSON, data frame and answers to the benchmark name as causes what the headline does."""
+    partly = replace(damped, verdict="partly")
+    for found, stated in ((damped, True), (partly, False)):
+        assert [one["stated"] for one in found.to_json()["causes"]] == [stated]
+        assert found.to_pandas()["stated"].tolist() == [stated]
+        assert len(causes_of(found)) == int(stated)
 
 
 def test_json_is_the_contracts(damped, tmp_path):
@@ -123,7 +135,7 @@ def test_json_is_the_contracts(damped, tmp_path):
     found = json.loads((tmp_path / "diagnosis.json").read_text())
     assert set(found) == CONTRACT[""] | BESIDE
     (cause,) = found["causes"]
-    assert set(cause) == CONTRACT["cause"] | {"variant", "acts_like"}
+    assert set(cause) == CONTRACT["cause"] | {"variant", "acts_like", "stated"}
     assert set(cause["estimate"]["damping"]) == {
         "value",
         "se",

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from dropo import Diagnose
-from dropo.diagnosis.findings.horizons import Horizon, beyond_windows
 from dropo.diagnosis.search.library import instances_for
 from dropo.problems.file.estimated_velocities import with_velocities
 from tests.models import imu_arm
@@ -65,27 +64,6 @@ def test_what_is_hidden_is_found():
     assert (effect, target) == ("joint_damping", "elbow")
     assert size.value == pytest.approx(0.05, rel=0.05)
     assert found.noise["qvel.elbow"] < 0.5
-
-
-def horizon(steps, error, noise=0.01):
-    """Errors after so many steps beside what noise explains."""
-    units = {"rad": (error, noise), "rad/s": (0.1, 0.1)}
-    return Horizon(steps, 0.01 * steps, error, noise, units, np.zeros(2))
-
-
-def test_errors_beyond_the_windows_are_told():
-    """Where they grow beyond noise behind the windows' end, with what to do; not where they are as
-    large within.
-    """
-    grows = [horizon(1, 0.011), horizon(5, 0.012), horizon(20, 0.05)]
-    told = beyond_windows(grows, 5)
-    assert told == (
-        "after 20 steps errors are 5 times what noise explains (rad), and the verdict is that of "
-        "windows of 5: diagnose with --steps 20"
-    )
-    assert beyond_windows([horizon(5, 0.04), horizon(20, 0.05)], 5) is None
-    assert beyond_windows([horizon(5, 0.011), horizon(20, 0.012)], 5) is None
-    assert beyond_windows(grows, 7) is None
 
 
 def test_an_imu_without_velocities():

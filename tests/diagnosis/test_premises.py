@@ -1,5 +1,6 @@
 """A search anew under other premises: noise that is not white, exact physics steps."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import mujoco
@@ -7,7 +8,8 @@ import numpy as np
 import pytest
 
 from dropo.diagnosis import diagnose
-from dropo.diagnosis.diagnose import Diagnose
+from dropo.diagnosis.diagnose import Diagnose, DiagnosisSettings
+from dropo.diagnosis.findings.every_horizon import EveryHorizonSettings
 from dropo.diagnosis.search.arithmetic import Rivals
 from dropo.diagnosis.search.whitening import NoiseSettings
 from dropo.problems.file.estimated_velocities import with_velocities
@@ -78,12 +80,17 @@ def servo():
 
 
 def test_long_physics_steps_are_no_cause(servo, monkeypatch):
-    """Nothing is missing but short steps, and that is said; left out, half a step is a delay."""
+    """Nothing is missing but short steps, and that is said; left out, half a step is a delay for
+    the windows, and no cause all the same, since velocities after ten steps are worse with it.
+    """
     search = Diagnose(EFFECTS, length=10, windows=16, disturbances=False)
     found = search.run(servo)
     assert found.causes == ()
     assert 'integrator="RK4"' in found.numerics[0]
     monkeypatch.setattr(Rivals, "__call__", lambda *given: False)
-    (cause,) = search.run(servo).causes
+    (refused,) = search.run(servo).leaders
+    assert (refused.effect, refused.steps) == ("actuator_delay", 10)
+    by_windows = DiagnosisSettings(horizons=EveryHorizonSettings(worse=np.inf))
+    (cause,) = replace(search, settings=by_windows).run(servo).causes
     assert cause.effect == "actuator_delay"
     assert cause.estimate["delay"].value == pytest.approx(COARSE / 2, rel=0.3)

@@ -120,7 +120,8 @@ def test_what_the_physics_step_makes(step: float) -> None:
     problem = replace(problem, trajectories=after)
     fit = SimpleNamespace(mean=value, mean_se=np.array([1e-2]), epsilon=np.array([1e-6, 1e-4]))
     local = SimpleNamespace(
-        predict_rows=lambda values, rows: simulator.predict(values, problem.segments)[:, rows]
+        predict_rows=lambda values, rows: simulator.predict(values, problem.segments)[:, rows],
+        moments=lambda point: None,
     )
     found = of_the_physics_step(problem, Run(problem, rng), fit, local, value)
     if step < 0.001:

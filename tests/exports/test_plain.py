@@ -11,7 +11,8 @@ from dropo.exports.export import export
 from dropo.exports.plain import writer_of
 from dropo.exports.support.subject import subject_of_fit
 from dropo.mjmodel.fields import FieldParameter
-from dropo.problems.file.plain_model import active_effects, changed_numbers
+from dropo.mjmodel.numbers import changed_numbers
+from dropo.problems.file.plain_model import active_effects
 from tests.exports.conftest import (
     ERRORS,
     MASS,

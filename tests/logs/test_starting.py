@@ -14,7 +14,7 @@ import pytest
 from dropo.core.services.errors import BadArgument, BadFile, MissingPackage, UnknownName
 from dropo.data.checks.check import check
 from dropo.logs.starting import init
-from dropo.mjmodel.robots import find_robot
+from dropo.mjmodel.files.robots import find_robot
 from dropo.problems.loading import load
 from dropo.problems.simulated.example_log import Machine, write_example
 

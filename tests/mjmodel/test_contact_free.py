@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from dropo.mjmodel.contact_free import projectors
+from dropo.mjmodel.dynamics.contact_free import projectors
 from dropo.problems.simulated.example_quadruped import MODEL, STANCE
 
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from dropo.core.records.trajectories import Trajectories
-from dropo.mjmodel.holding_friction import holds
+from dropo.mjmodel.dynamics.holding_friction import holds
 from dropo.problems.file.model_xml import format_model
 from tests.models.holding_servo import FRICTION, servo
 

@@ -9,7 +9,7 @@ import pytest
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import BadArgument, BadFile, InvalidInput, UnknownName
 from dropo.mjmodel.fields import Binding, FieldParameter
-from dropo.mjmodel.motors import Motor, motor_of, motor_parameters, mount, read_motors
+from dropo.mjmodel.files.motors import Motor, motor_of, motor_parameters, mount, read_motors
 from dropo.problems.loading import load
 
 XML = """<mujoco><worldbody><body name="link"><joint name="hinge" axis="0 1 0"/>

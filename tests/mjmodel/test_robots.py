@@ -9,7 +9,14 @@ import numpy as np
 import pytest
 
 from dropo.core.services.errors import BadFile
-from dropo.mjmodel.robots import DriveGuess, Robot, add_drives, find_robot, load_spec, write_spec
+from dropo.mjmodel.files.robots import (
+    DriveGuess,
+    Robot,
+    add_drives,
+    find_robot,
+    load_spec,
+    write_spec,
+)
 
 ARM = """<mujoco model="lab arm"><compiler meshdir="{place}"/><asset>{assets}</asset>
 <worldbody><body name="link">

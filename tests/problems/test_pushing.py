@@ -16,12 +16,12 @@ from dropo.problems.panda.pushing import (
     STEPS,
     TRUTH,
     Pusher,
-    fields_of,
     measured,
     pushing,
     pushing_simulator,
     target_model,
 )
+from dropo.simulators.mujoco.closed_loop import fields_of
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from dropo.core.services.evaluation_log import read_log
 from dropo.core.services.tables import estimate
 from dropo.report.build import write_report
 from dropo.report.page import Cell, percent, shortened, table
-from dropo.report.pages.diagnosis_page import _fitted, causes_section
+from dropo.report.pages.diagnosis_page import _fitted, causes_section, finding_cards
 from dropo.report.pages.fit_page import _parameters
 
 LARGEST = 1_500_000  # bytes
@@ -291,11 +291,13 @@ def test_what_speaks_against_a_cause_is_on_the_page(diagnosis_folder):
     control: of a cause without doubts nothing is said.
     """
     content = json.loads((diagnosis_folder / "diagnosis.json").read_text())
+    content["verdict"] = "explained"
     for cause in content["causes"]:
         cause |= {"acts_like": None, "confused_with": []}
     plain_body = causes_section(content).body
     assert "may as well be" not in plain_body
     assert "only acts like" not in plain_body
+    content["verdict"] = "partly"
     content["causes"][0] |= {
         "acts_like": "speed",
         "confused_with": [
@@ -311,6 +313,21 @@ def test_what_speaks_against_a_cause_is_on_the_page(diagnosis_folder):
     body = causes_section(content).body
     assert re.search(r"may as well be [^.]*elbow: similarity 0.99. To tell: slow motions", body)
     assert "only acts like the cause: its size differs with speed." in body
+
+
+def test_a_cause_is_called_one_on_the_page_where_the_headline_does(diagnosis_folder):
+    """The card and the remarks follow the verdict, whether the size differs with anything or not;
+    control: where all is explained, the card is the cause's.
+    """
+    content = json.loads((diagnosis_folder / "diagnosis.json").read_text())
+    for cause in content["causes"]:
+        cause |= {"acts_like": None}
+    content["verdict"] = "explained"
+    assert finding_cards(content)[1][0] == "cause"
+    content["verdict"] = "partly"
+    assert finding_cards(content)[1][0] == "acts like"
+    assert "only acts like the cause: something remains" in causes_section(content).body
+    assert finding_cards(content | {"causes": []})[1][:2] == ("cause", "none")
 
 
 def test_declared_parameters_stand_beside_their_intervals():

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from dropo.problems.file.plain_model import changed_numbers
+from dropo.mjmodel.numbers import changed_numbers
 from dropo.simulators.mujoco.plain_robot import Robot, write_numbers
 from tests.models.hidden_in_arm import UPPER, instance, problem
 

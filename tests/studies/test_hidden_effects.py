@@ -5,6 +5,7 @@ import pytest
 
 from dropo import Diagnose
 from dropo.core.contracts.effect import StepState
+from dropo.core.services.errors import BadArgument
 from dropo.core.services.registry import find
 from dropo.diagnosis.parts import Alternative, Estimate
 from dropo.problems.simulated.robots import ROBOTS, masses, simulated_robot
@@ -19,6 +20,8 @@ from dropo.studies.hidden_effects.study import (
     hide_some,
     interval,
     run,
+    stated_falsely,
+    states_falsely,
     unmodelled_cause,
     white_noise,
 )
@@ -76,7 +79,9 @@ def is_named(found):
 
 def test_tables_count_what_was_said(monkeypatch):
     """Shares, intervals and confusion from runs that are made up: two of three right, the wrong one
-    listed with what it was taken for; one of the right ones has another effect beside it.
+    listed with what it was taken for; one of the right ones has another effect beside it. What is
+    not there is stated as a cause in these two; the fourth run, which names it too, says that
+    something remains.
     """
     answers = [
         {
@@ -92,6 +97,7 @@ def test_tables_count_what_was_said(monkeypatch):
             "error": 0.01,
             "first": "joint_damping" if right else "air_drag",
             "said": "x",
+            "verdict": "explained" if i < 3 else "partly",
             "share": 0.99,
             "steps": 2.6e6,
         }
@@ -101,9 +107,12 @@ def test_tables_count_what_was_said(monkeypatch):
     ]
     monkeypatch.setattr(Work, "map", lambda self, task, items: answers)
     study = hidden_effects(Work(threads=1), 4, machines=["torque-arm"], cases=["one"])
-    (row,) = study.tables[0].rows
+    row, whole = study.tables[0].rows
     assert row[:4] == ("torque-arm", "one", "3", "2/3")
-    assert row[5:] == ("3/3", "1/3", "1.00%", "99.0%", "2,600,000")
+    assert row[5:] == ("3/3", "1/3", "2/3", "1.00%", "99.0%", "2,600,000")
+    assert (whole[:3], whole[7]) == (("torque-arm", "any of these", "4"), "2/4")
+    assert len(whole) == len(row) == len(study.tables[0].header)
+    assert any("all 4 runs" in text and "2 state a cause" in text for text in study.remarks)
     assert ("joint_damping", "air_drag", "1") in study.tables[2].rows
     assert ("joint_damping", "joint_damping", "2") in study.tables[2].rows
     answers.append(answers[0] | {"machine": "hopper", "hidden": "air_drag=-0.5", "first": "wind"})
@@ -113,6 +122,7 @@ def test_tables_count_what_was_said(monkeypatch):
         ("torque-arm", "2/3"),
         ("hopper", "1/1"),
         ("all", "3/4"),
+        ("all", "-"),
     ]
 
 
@@ -133,6 +143,7 @@ def test_what_stands_in_for_a_removed_cause_is_counted_apart(monkeypatch):
             "error": None,
             "first": "x",
             "said": "x",
+            "verdict": "partly" if right else "explained",
             "share": None,
             "short": short,
             "steps": 2.6e6,
@@ -148,7 +159,9 @@ def test_what_stands_in_for_a_removed_cause_is_counted_apart(monkeypatch):
     assert [row[1:4] for row in rows] == [
         ("removed", "4", "2/4"),
         ("removed, no stand-in", "3", "2/3"),
+        ("any of these", "4", "-"),
     ]
+    assert [row[7] for row in rows] == ["2/4", "1/3", "2/4"]
 
 
 def test_intervals():
@@ -194,7 +207,7 @@ def test_evaluation():
         verdict = "explained"
 
         def __init__(self, *causes):
-            self.causes = causes
+            self.causes = self.stated = causes
 
     arm = simulated_robot("torque-arm")
     hidden = [
@@ -297,3 +310,33 @@ def test_a_magnitude_that_changes_nothing_does_not_count():
     hidden = [(stribeck, little)]
     assert not every_magnitude_counts(arm, hidden[0], hidden, values, data, 1e-3)
     assert draw(arm, "tendon_damping", np.random.default_rng(0)) is None
+
+
+def test_what_acts_like_a_cause_is_not_false():
+    """The same wrong name is a false cause where the diagnosis states it, and is none where that
+    says that something remains; runs with nothing that could be named count too.
+    """
+    named = {"case": "outside", "extra": True}
+    stated = named | {"verdict": "explained"}
+    alike = named | {"verdict": "partly"}
+    silent = {"case": "nothing", "extra": False, "verdict": "consistent"}
+    right = {"case": "one", "extra": False, "verdict": "explained"}
+    every = [stated, alike, silent, right]
+    assert [states_falsely(one) for one in every] == [True, False, False, False]
+    assert stated_falsely(every).startswith("all 4 runs")
+    assert "1 state a cause that is none" in stated_falsely(every)
+
+
+def test_the_first_seed_is_chosen(monkeypatch):
+    """New seeds follow the first one; a negative one is refused."""
+    seen = []
+
+    def answered(self, task, items):
+        seen.extend(items)
+        return []
+
+    monkeypatch.setattr(Work, "map", answered)
+    hidden_effects(Work(threads=1), 2, first_seed=7, machines=["hopper"], cases=["one"])
+    assert seen == [["hopper", "one", 7], ["hopper", "one", 8]]
+    with pytest.raises(BadArgument, match="first_seed"):
+        hidden_effects(Work(threads=1), 2, first_seed=-1)

@@ -104,3 +104,5 @@ def test_refusals(tmp_path):
         recover("toy", seeds=0)
     with pytest.raises(Incompatible, match="no runs of the published method"):
         recover("toy", published=True)
+    with pytest.raises(Incompatible, match=r"has seeds of its own. Leave --first-seed out"):
+        recover("toy", first_seed=3)

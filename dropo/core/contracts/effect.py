@@ -149,7 +149,9 @@ class EffectInstance:
     variant : str
         Which of the effect's several forms at that place; "" where there is one.
     model : callable or None
-        Changes the fields of a copy of the model in place; mj_setConst follows.
+        Changes the fields of a copy of the model in place; mj_setConst follows. What makes up
+        meshes and pictures (vertices, faces, pixels) cannot be changed, and is not there where it
+        is only seen.
     command : callable or None
         Changes the commands of a trajectory, one a control step, before they are clamped.
     actuation : callable or None

@@ -43,10 +43,19 @@ class LogLikelihood(ABC):
         The box of phi (m,): the family's unknowns, then the likelihood's own.
     has_gradients : bool
         Whether `gradient` can be called.
+    simulator : Simulator or None
+        What predicts the segments, where it is known.
+    whitened : (R, p) array or None
+        Residuals in units of their covariance at the point where it was built, where it has such.
+    unexplained : tuple of (R, p) and (R, p, d) array, or None
+        What is new in the residuals of each row, with its Jacobian, where noise has a memory.
     """
 
     unknowns: ParameterSpace
     has_gradients = False
+    simulator: Simulator | None = None
+    whitened: Array | None = None
+    unexplained: tuple[Array, Array] | None = None
 
     def __call__(self, phi: ArrayLike) -> float:
         """Evaluate log L(phi), the sum over all rows.
@@ -157,6 +166,14 @@ class LogLikelihood(ABC):
         (R, p) array
             In the signals' units.
         """
+
+    def moments(self, phi: Array) -> tuple[Array, Array] | None:
+        """Mean (R, p) and covariance (R, p, p) of the rows at phi (m,); None of another law."""
+        return None
+
+    def whitened_residuals(self, phi: Array) -> Array | None:
+        """Residuals (R, p) in units of the covariance at phi (m,); None of another law."""
+        return None
 
 
 class Likelihood(ABC):

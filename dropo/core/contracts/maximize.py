@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -17,6 +17,19 @@ from dropo.core.services.validation import Array, require
 
 Objective = Callable[[Array], Any]
 """A function to maximize, of a point (m,) in the space's own units."""
+
+
+@runtime_checkable
+class Differentiable(Protocol):
+    """A function to maximize that may know its gradient, as a `LogLikelihood` does."""
+
+    has_gradients: bool
+
+    def __call__(self, phi: Array) -> Any:
+        """The value at a point (m,)."""
+
+    def gradient(self, phi: Array) -> Array:
+        """The gradient (m,) at a point (m,)."""
 
 
 @dataclass(frozen=True)
@@ -143,8 +156,10 @@ def _in_unit_box(
     batched: bool,
 ) -> Objective:
     """The objective of many points of the unit box, with gradients if the optimizer needs them."""
-    if optimizer.needs_gradients and not getattr(objective, "has_gradients", False):
-        giver = getattr(objective, "simulator", objective)
+    knows = isinstance(objective, Differentiable) and objective.has_gradients
+    if optimizer.needs_gradients and not knows:
+        simulator = objective.simulator if isinstance(objective, LogLikelihood) else None
+        giver = objective if simulator is None else simulator
         raise Incompatible(
             f"{type(optimizer).__name__} needs gradients, and {type(giver).__name__} gives "
             f"none. {WITHOUT_GRADIENTS}"

@@ -236,7 +236,7 @@ class WithPrior(LocalLogLikelihood):
         self.prior = prior
         self.unknowns = objective.unknowns
         self.has_gradients = objective.has_gradients
-        self.simulator = getattr(objective, "simulator", objective)
+        self.simulator = objective.simulator
         self.places = mean_places(objective, prior.space)
 
     def _rows(self, phi: Array) -> Array:

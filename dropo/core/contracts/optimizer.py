@@ -39,6 +39,8 @@ class Optimizer(ABC):
     ----------
     needs_gradients : bool
         Whether `tell` must get gradients.
+    covariance : (m, m) array or None
+        Of the points around the best one, in the unit box; None of a method that has none.
     best : tuple of (m,) array and float
         The point of lowest cost so far, and its cost.
 
@@ -50,6 +52,11 @@ class Optimizer(ABC):
     """
 
     needs_gradients = False
+
+    @property
+    def covariance(self) -> Array | None:
+        """The covariance (m, m) of points around the best one; None of a method without."""
+        return None
 
     def __init__(
         self,

@@ -181,6 +181,8 @@ class _SampledLogLikelihood(LogLikelihood):
     perturbed state.
     """
 
+    simulator: Simulator
+
     def __init__(
         self,
         settings: SampledLikelihood,

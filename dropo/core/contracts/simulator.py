@@ -56,6 +56,8 @@ class Simulator(ABC):
     least_step : float
         The least half width of differences, as a fraction of a parameter's interval or a start's
         spread, that rounding does not drown: more than the default in single precision.
+    model : MjModel or None
+        The compiled model, where MuJoCo simulates.
     """
 
     space: ParameterSpace
@@ -67,6 +69,7 @@ class Simulator(ABC):
     nominal: Array | None = None
     control_step: float | None = None
     least_step: float = STEP
+    model: Any = None
 
     def predict(
         self, values: ArrayLike, segments: Segments, *, offsets: ArrayLike | None = None

@@ -266,6 +266,7 @@ class SavedCause(Saved):
     rmse_after: float
     confused_with: list[SavedAlternative]
     acts_like: str | None = None
+    stated: bool | None = None
     stability: SavedStability | None = None
     formula: str = ""
     called: str = ""
@@ -289,6 +290,8 @@ class SavedLeader(Saved):
     gain: float
     gain_se: Known
     times: Known
+    why: str = ""
+    steps: Count = 0
     record: str
 
 

@@ -12,7 +12,7 @@ from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
 from dropo.diagnosis.search.library import robot_of
 from dropo.diagnosis.search.linearization import Library
-from dropo.mjmodel.holding_friction import holds
+from dropo.mjmodel.dynamics.holding_friction import holds
 
 GAIN = "actuator_gain"
 """The effect that is on the scale of all forces."""

@@ -16,6 +16,7 @@ from dropo.diagnosis.far_off.fit import Fitted, Known, OutputError, OutputErrorS
 from dropo.diagnosis.far_off.model import GAIN, FarOffModel
 from dropo.diagnosis.far_off.motions import Motions, MotionSettings, motions_of, outer_spread
 from dropo.diagnosis.far_off.ties import ties_of
+from dropo.diagnosis.search.bounds import at_bounds, totals_of
 from dropo.diagnosis.search.library import robot_of
 from dropo.diagnosis.search.linearization import Library
 from dropo.diagnosis.search.selection import STOPPING
@@ -143,18 +144,9 @@ class Explained:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Numbers at a bound that is not nothing, a sentence each."""
-        space = self.model.library.simulator.space
-        totals = _totals(self.model)
-        found = []
-        for i in self.model.fitted.tolist():
-            value = self.model.theta[i]
-            at_bound = not space.low[i] < value < space.high[i]
-            if at_bound and abs(totals[i]) > 1e-9 * (space.high[i] - space.low[i]):
-                found.append(
-                    f"{space.names[i]} is at its bound, {value:.4g}: something else may act like"
-                    " it, or its interval is too narrow."
-                )
-        return tuple(found)
+        model = self.model
+        effects = [instance for instance, _ in model.numbers]
+        return at_bounds(model.library, model.theta, model.fitted, effects)
 
 
 @dataclass(frozen=True, eq=False)
@@ -520,13 +512,8 @@ def _first(motions: Motions, count: int) -> Motions:
 
 def _totals(model: FarOffModel) -> Array:
     """(m,) the numbers with what the model has of them; of fractions, what they leave of 1."""
-    totals = model.theta.copy()
-    for instance, _ in model.numbers:
-        for place, quantity in zip(
-            model.library.places[instance.label], instance.quantities, strict=True
-        ):
-            totals[place] += 1.0 if quantity.relative else quantity.base or 0.0
-    return totals
+    effects = [instance for instance, _ in model.numbers]
+    return totals_of(model.library, model.theta, effects)
 
 
 def _gains(model: FarOffModel) -> NDArray[np.bool_]:

@@ -106,7 +106,7 @@ def causes(
         if named is not None and instance.label not in named:
             continue
         own = reviews[instance.label]
-        gain, z = gain_of(own.without.test, last.test)
+        gain, _ = gain_of(own.without.test, last.test)
         blocks = gain_by_block(own.without.test, last.test)
         steps = last.test.windows.steps
         regimes = invariance(library, last.test, instance)
@@ -118,12 +118,13 @@ def causes(
                 Alternative("law", one.target, "", one.why, formula=one.formula)
                 for one in law.others
             )
+        sizes = estimate(library, last, instance, deviations, degrees)
         cause = Cause(
             effect=instance.effect,
             target=instance.target,
             variant=instance.variant,
-            estimate=estimate(library, last, instance, deviations, degrees),
-            p_value=p_of(gain, count, z, len(blocks)),
+            estimate=sizes,
+            p_value=p_of_sizes(list(sizes.values()), count),
             held_out_gain=gain / steps,
             held_out_gain_se=float(blocks.std(ddof=1) * np.sqrt(len(blocks)) / steps),
             rmse_before=before,
@@ -156,12 +157,38 @@ def _shape(last: State, instance: EffectInstance) -> str | None:
     return None
 
 
-def p_of(gain: float, count: int, z: float, blocks: int) -> float:
-    """Return the p-value of an effect's gain on windows held out.
+def p_of_sizes(sizes: Sequence[Estimate], count: int) -> float:
+    """Return the p-value of an effect by its sizes, from the errors that their intervals have.
 
-    The larger of two, of which the first needs the noise to be as the model says and the second
-    blocks that are independent: of the split likelihood-ratio test for all effects tried, and of
-    the mean gain of a block by Student's t.
+    By Student's t with the standard errors and degrees of freedom of the estimates: the smallest of
+    the two-sided ones that a size is 0, times the number of sizes and of the effects tried
+    (Bonferroni). So it is above 0.05 wherever the 95 % intervals of all sizes contain 0.
+
+    Parameters
+    ----------
+    sizes : sequence of Estimate
+        Of one effect; those without a standard error say nothing.
+    count : int
+        How many effects were tried.
+
+    Returns
+    -------
+    float
+        Between the smallest positive number and 1; 1 where no size has a standard error.
+    """
+    smallest = 1.0
+    for size in sizes:
+        if size.se > 0:
+            t = abs(size.value) / size.se
+            smallest = min(smallest, 2 * float(student_tail(t, size.degrees)))
+    return min(1.0, max(count * len(sizes) * smallest, float(np.finfo(float).tiny)))
+
+
+def p_of(gain: float, count: int, z: float, blocks: int) -> float:
+    """Return the p-value of the gain on windows held out of an effect that was not confirmed.
+
+    Student's t of the mean gain of a block, times the number of effects tried (Bonferroni), but no
+    less than that number times exp(-gain): what was gained hardly is not there for certain.
 
     Parameters
     ----------
@@ -179,9 +206,9 @@ def p_of(gain: float, count: int, z: float, blocks: int) -> float:
     float
         Between the smallest positive number and 1.
     """
-    of_gain = min(1.0, count * float(np.exp(-max(gain, 0.0))))
-    of_blocks = float(student_tail(z, max(blocks - 1, 1)))
-    return max(of_gain, of_blocks, float(np.finfo(float).tiny))
+    of_gain = count * float(np.exp(-max(gain, 0.0)))
+    of_blocks = count * float(student_tail(z, max(blocks - 1, 1)))
+    return min(1.0, max(of_gain, of_blocks, float(np.finfo(float).tiny)))
 
 
 def _alternatives(
@@ -281,14 +308,24 @@ def standard_errors(
     degrees : (f,) array
         Degrees of freedom of each.
     """
-    errors, degrees = _sandwich(library, last, 1.0)
+    covariance, degrees = _sandwich(library, last, 1.0)
+    errors = np.sqrt(np.diagonal(covariance))
     # Errors far below the usual width of differences: predictions are curved within it.
-    curved = np.any(errors < close * library.steps[last.free])
-    return _sandwich(library, last, close) if curved else (errors, degrees)
+    if np.any(errors < close * library.steps[last.free]):
+        covariance, degrees = _sandwich(library, last, close)
+    return np.sqrt(np.diagonal(covariance)), degrees
+
+
+def covariance_of(library: Library, last: State, close: float = REFIT.close) -> Array:
+    """Return the covariance (f, f) of the fitted numbers; arguments as of `standard_errors`."""
+    covariance, _ = _sandwich(library, last, 1.0)
+    if np.any(np.sqrt(np.diagonal(covariance)) < close * library.steps[last.free]):
+        covariance, _ = _sandwich(library, last, close)
+    return covariance
 
 
 def _sandwich(library: Library, last: State, fraction: float) -> tuple[Array, Array]:
-    """Standard errors and their degrees (f,), with differences over a fraction of the width."""
+    """The covariance (f, f) and its degrees (f,), with differences over a fraction of the width."""
     train = last.train
     windows = train.windows
     free = last.free
@@ -300,8 +337,7 @@ def _sandwich(library: Library, last: State, fraction: float) -> tuple[Array, Ar
     np.add.at(scores, block, np.einsum("fwn,wn->wf", rows, residuals))
     information = np.zeros((len(names), len(free), len(free)))
     np.add.at(information, block, np.einsum("fwn,gwn->wfg", rows, rows))
-    covariance, degrees = few_units_sandwich(scores, information)
-    return np.sqrt(np.diagonal(covariance)), degrees
+    return few_units_sandwich(scores, information)
 
 
 def suspects(selection: Selection, last: State, count: int) -> tuple[Suspect, ...]:

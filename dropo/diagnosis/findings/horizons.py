@@ -1,13 +1,14 @@
 """Errors by horizon on data held out, and what part of them the sensors' noise explains."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import Simulator
+from dropo.core.records.trajectories import Ints, Signal
 from dropo.core.services.validation import Array
 from dropo.diagnosis.search.linearization import Library
 from dropo.diagnosis.search.trials import State
@@ -18,11 +19,15 @@ from dropo.evaluation.held_out import (
     HorizonErrors,
     errors_of,
     held_out_part,
+    held_out_starts,
     held_out_windows,
     noise_free_spread,
     rms_by_unit,
     rms_of_motion,
 )
+
+TOLD = 0.1
+"""Fraction of the numbers' intervals below which the data tell a direction of them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +78,37 @@ def _or_none(error: float) -> float | None:
     return error if np.isfinite(error) else None
 
 
+@dataclass(frozen=True, eq=False)
+class AfterHorizon:
+    """Errors of K models in the W windows of one horizon, and what noise would make of them.
+
+    Attributes
+    ----------
+    steps : int
+        The horizon in control steps.
+    signals : tuple of Signal
+        The p compared signals.
+    models : tuple of Horizon
+        What is printed of each model.
+    errors : (K, W, p) array
+        Measured less predicted, in the signals' units; NaN where a simulation failed.
+    by_noise : (D, W, p) array
+        Errors of the last state's model in D draws of the noise, were it the truth; NaN likewise.
+    spread : (p,) array
+        Of each signal without its noise; 0 where it does not vary.
+    block : (W,) int array
+        The run, or part of a run, that a window belongs to. Windows that overlap share one.
+    """
+
+    steps: int
+    signals: tuple[Signal, ...]
+    models: tuple[Horizon, ...]
+    errors: Array
+    by_noise: Array
+    spread: Array
+    block: Ints
+
+
 def horizons(
     problem: Problem,
     library: Library,
@@ -86,6 +122,31 @@ def horizons(
 
     Parameters
     ----------
+    problem, library, thetas, last, rng, settings, draws
+        As of `after_horizons`.
+
+    Returns
+    -------
+    list of list of Horizon
+        For each model, one of each horizon.
+    """
+    found = after_horizons(problem, library, thetas, last, rng, settings, draws)
+    return [[after.models[i] for after in found] for i in range(len(thetas))]
+
+
+def after_horizons(
+    problem: Problem,
+    library: Library,
+    thetas: Sequence[Array],
+    last: State,
+    rng: np.random.Generator,
+    settings: HeldOutSettings = SETTINGS,
+    draws: int = 2,
+) -> list[AfterHorizon]:
+    """Predict data held out by several models, over every horizon.
+
+    Parameters
+    ----------
     problem : Problem
         Whose held-out part is predicted.
     library : Library
@@ -95,7 +156,7 @@ def horizons(
     last : State
         Its noise is taken: starts are drawn anew under it, so that it is known at impacts too.
     rng : numpy.random.Generator
-        Draws the noise of the starts.
+        Draws the noise of the starts, and a child of it that of the ends.
     settings : HeldOutSettings
         Which horizons, beside that of the windows, and which windows.
     draws : int
@@ -103,11 +164,12 @@ def horizons(
 
     Returns
     -------
-    list of list of Horizon
-        For each model, the horizons for which the data held out are long enough, up to the first
-        after which the last of the models has failed in every window.
+    list of AfterHorizon
+        The horizons for which the data held out are long enough, up to the first after which the
+        last state's model has failed in every window.
     """
-    found: list[list[Horizon]] = [[] for _ in thetas]
+    found: list[AfterHorizon] = []
+    (ends,) = rng.spawn(1)
     models = [*thetas, last.theta]
     # With nothing found, or nothing fitted, some models are the same.
     different, which = np.unique(np.stack(models), axis=0, return_inverse=True)
@@ -117,9 +179,10 @@ def horizons(
     rho = last.train.whiten.noise.rho
     part, spread = _part_and_spread(problem, library, last)
     for steps in sorted({*settings.horizons, last.train.windows.length}):
-        windows = held_out_windows(part, steps, settings)
-        if len(windows) < settings.fewest:
+        starts = held_out_starts(part, steps, settings)
+        if len(starts) < settings.fewest:
             break
+        windows = part.trajectories.from_rows(starts, steps)
         predicted = simulator.predict(different, windows)
         offsets = sigma * rng.standard_normal((draws, len(windows), len(sigma)))
         same = np.repeat(last.theta[None], draws, axis=0)
@@ -131,9 +194,109 @@ def horizons(
         errors = errors_of(simulator, predicted, windows, spread)
         if errors[which[-1]].failed == errors[which[-1]].rows:
             break
-        for out, i in zip(found, which[:-1].tolist(), strict=True):
-            out.append(_horizon(simulator, errors[i], noise))
+        # Starts of a late signal are off by more than noise.
+        extra_sd = simulator.extra_start_sd(last.theta, windows)
+        if extra_sd.any():
+            further = offsets + extra_sd * ends.standard_normal(offsets.shape)
+            change = simulator.predict(same, windows, offsets=further) - predicted[which[-1]]
+        anew = np.sqrt(1 - rho ** (2 * steps)) * sigma * ends.standard_normal(offsets.shape)
+        after = AfterHorizon(
+            steps=steps,
+            signals=tuple(simulator.signals),
+            models=tuple(_horizon(simulator, errors[i], noise) for i in which[:-1].tolist()),
+            errors=(simulator.targets(windows) - predicted)[which[:-1]],
+            by_noise=rho**steps * offsets + anew - change,
+            spread=spread,
+            block=apart(part.block[starts], starts, steps),
+        )
+        found.append(after)
     return found
+
+
+def with_numbers(
+    problem: Problem,
+    library: Library,
+    last: State,
+    covariance: Array,
+    found: Sequence[AfterHorizon],
+    rng: np.random.Generator,
+    draws: int,
+    settings: HeldOutSettings = SETTINGS,
+) -> list[AfterHorizon]:
+    """Add to what noise makes of errors what it makes of the numbers that were fitted.
+
+    Parameters
+    ----------
+    problem, library, last, settings
+        As of `after_horizons`.
+    covariance : (f, f) array
+        Of the numbers that are free in the last state.
+    found : sequence of AfterHorizon
+        What `after_horizons` found.
+    rng : numpy.random.Generator
+        Draws the numbers.
+    draws : int
+        How many models are drawn.
+
+    Returns
+    -------
+    list of AfterHorizon
+        Each with `draws` draws: one of the noise as it has it, in turn, with one of the numbers.
+    """
+    (own,) = rng.spawn(1)
+    space = library.simulator.space
+    thetas = np.repeat(last.theta[None], draws + 1, axis=0)
+    # What the data do not tell of the numbers is no error that noise makes of them.
+    width = (space.high - space.low)[last.free]
+    values, vectors = np.linalg.eigh(covariance / np.outer(width, width))
+    sizes = np.sqrt(np.maximum(values, 0.0))
+    root = width[:, None] * vectors * np.where(sizes < TOLD, sizes, 0.0)
+    thetas[1:, last.free] += own.standard_normal((draws, len(values))) @ root.T
+    thetas[1:] = np.clip(thetas[1:], space.low, space.high)
+    part, _ = _part_and_spread(problem, library, last)
+    more = []
+    for after in found:
+        windows = held_out_windows(part, after.steps, settings)
+        predicted = library.simulator.predict(thetas, windows)
+        which = np.arange(draws) % len(after.by_noise)
+        by_noise = after.by_noise[which] + predicted[0] - predicted[1:]
+        more.append(replace(after, by_noise=by_noise))
+    return more
+
+
+def apart(block: Ints, starts: Ints, steps: int, fewest: int = 8, pieces: int = 24) -> Ints:
+    """Number the windows' blocks, or where they are few pieces of them that hardly overlap.
+
+    Parameters
+    ----------
+    block : (W,) int array
+        The run or block of time of each window.
+    starts : (W,) int array
+        Their first rows, ascending.
+    steps : int
+        Their length.
+    fewest : int
+        Blocks below which they are cut into pieces ...
+    pieces : int
+        ... of which there are then about so many at most, each as long as a window at least.
+
+    Returns
+    -------
+    (W,) int array
+        From 0 on.
+    """
+    names, which = np.unique(block, return_inverse=True)
+    if len(names) >= fewest:
+        return which.astype(np.int64)
+    out = np.zeros(len(block), dtype=np.int64)
+    first = 0
+    for i in range(len(names)):
+        own = which == i
+        row = starts[own] - starts[own][0]
+        count = max(1, min(pieces // len(names), int(row[-1]) // steps))
+        out[own] = first + np.minimum(row * count // max(int(row[-1]), 1), count - 1)
+        first += count
+    return out
 
 
 def errors_after(
@@ -155,43 +318,6 @@ def errors_after(
     windows = held_out_windows(part, last.train.windows.length)
     predicted = library.simulator.predict(np.stack(thetas), windows)
     return errors_of(library.simulator, predicted, windows, spread)
-
-
-def beyond_windows(found: Sequence[Horizon], window: int, times: float = 2.0) -> str | None:
-    """Say after which horizon errors are larger than windows and noise lead to expect.
-
-    Parameters
-    ----------
-    found : sequence of Horizon
-        Of the last model.
-    window : int
-        Control steps in a window, by which the verdict was found.
-    times : float
-        How many times larger they are than noise explains, beside what they are after a window.
-
-    Returns
-    -------
-    str or None
-        A sentence on the unit where it stands out most; None where it does nowhere.
-    """
-    own = next((one for one in found if one.steps == window), None)
-    if own is None:
-        return None
-    worst: tuple[float, int, str] | None = None
-    for one in found:
-        for unit, (error, noise) in one.units.items():
-            off, expected = own.units[unit]
-            ratio = error / max(noise, 1e-300)
-            usual = max(off / max(expected, 1e-300), 1.0)
-            if one.steps > window and ratio > times * usual and ratio > (worst or (0.0,))[0]:
-                worst = (ratio, one.steps, unit)
-    if worst is None:
-        return None
-    ratio, steps, unit = worst
-    return (
-        f"after {steps} steps errors are {ratio:.2g} times what noise explains ({unit}), and the "
-        f"verdict is that of windows of {window}: diagnose with --steps {steps}"
-    )
 
 
 def _part_and_spread(problem: Problem, library: Library, last: State) -> tuple[DataPart, Array]:

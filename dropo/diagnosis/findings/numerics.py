@@ -16,7 +16,8 @@ from dropo.diagnosis.search.linearization import Library, LinearizedWindows, shi
 from dropo.diagnosis.search.refit import settle
 from dropo.diagnosis.search.trials import State
 from dropo.diagnosis.search.windows import spread_of
-from dropo.mjmodel.holding_friction import holds
+from dropo.mjmodel.dynamics.holding_friction import holds, impedance
+from dropo.mjmodel.options import integrator, physics_step
 from dropo.mjmodel.robot_simulator import RobotSimulator
 
 
@@ -32,8 +33,7 @@ class NumericsSettings:
     windows : int
         Windows, spread over the data, that are simulated with half the step.
     false_alarm : float
-        Level of the split likelihood-ratio test by which another step or integrator must explain
-        data held out better.
+        Another step or integrator must explain data held out better by log(1 / false_alarm) nats.
     """
 
     share: float = 0.5
@@ -42,19 +42,8 @@ class NumericsSettings:
 
 
 SETTINGS = NumericsSettings()
-INTEGRATORS = {
-    int(mujoco.mjtIntegrator.mjINT_EULER): "Euler",
-    int(mujoco.mjtIntegrator.mjINT_RK4): "RK4",
-    int(mujoco.mjtIntegrator.mjINT_IMPLICIT): "implicit",
-    int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST): "implicitfast",
-}
-"""By MuJoCo's number of an integrator, its name in MJCF."""
-OTHER_INTEGRATOR = {
-    int(mujoco.mjtIntegrator.mjINT_EULER): "implicitfast",
-    int(mujoco.mjtIntegrator.mjINT_IMPLICIT): "Euler",
-    int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST): "Euler",
-}
-"""By MuJoCo's number of a model's integrator, one that damps otherwise; Runge-Kutta has none."""
+OTHER_INTEGRATOR = {"Euler": "implicitfast", "implicit": "Euler", "implicitfast": "Euler"}
+"""By a model's integrator, one that damps otherwise; Runge-Kutta has none."""
 
 
 def numerics(
@@ -99,10 +88,10 @@ def numerics(
     if holds(robot_of(found).model) and not holds(robot_of(given).model):
         sentences.append(
             "Dry friction holds what rests here, where MuJoCo's lets it creep: the extended model"
-            f" has solimpfriction {robot_of(found).model.dof_solimp[0, 0]:.4f}, which predicts data"
+            f" has solimpfriction {impedance(robot_of(found).model):.4f}, which predicts data"
             " held out better."
         )
-    step = float(robot_of(found).model.opt.timestep)
+    step = physics_step(robot_of(found).model)
     sentences += _other_steps(robot_of(given).model, robot_of(found).model)
     sentences += [_below_step(cause, step) for cause in causes if _is_below_step(cause, step)]
     moved = _moved_by_step(library, first, last, settings) if causes else 0.0
@@ -118,15 +107,15 @@ def numerics(
 
 def _other_steps(came: mujoco.MjModel, used: mujoco.MjModel) -> list[str]:
     """That all was judged with other steps than those of the model that came."""
-    before, after = (float(model.opt.timestep) for model in (came, used))
-    integrator = INTEGRATORS[int(used.opt.integrator)]
-    own = INTEGRATORS[int(came.opt.integrator)]
-    if after == before and integrator == own:
+    before, after = (physics_step(model) for model in (came, used))
+    other = integrator(used)
+    own = integrator(came)
+    if after == before and other == own:
         return []
-    typed = f'timestep="{after:.3g}" integrator="{integrator}"'
+    typed = f'timestep="{after:.3g}" integrator="{other}"'
     return [
         f"The model's physics steps of {1e3 * before:.3g} ms by {own} act like delays, inertia and"
-        f" damping here: steps of {1e3 * after:.3g} ms by {integrator} explain the data better than"
+        f" damping here: steps of {1e3 * after:.3g} ms by {other} explain the data better than"
         f" any cause in their place, and all was judged with these. Type {typed}."
     ]
 
@@ -138,9 +127,9 @@ def _better_arithmetic(
     simulator = library.simulator
     if not isinstance(simulator, RobotSimulator):
         return []
-    half = 500 * float(simulator.model.opt.timestep)
+    half = 500 * physics_step(simulator.model)
     tried = {f"physics steps of half the length ({half:.3g} ms)": simulator.with_finer_steps(2)}
-    name = OTHER_INTEGRATOR.get(int(simulator.model.opt.integrator))
+    name = OTHER_INTEGRATOR.get(integrator(simulator.model))
     if name is not None:
         tried[f"the integrator {name}"] = simulator.with_integrator(name)
     needed = float(np.log(len(tried) / settings.false_alarm))

@@ -13,7 +13,7 @@ from dropo.core.contracts.effect import EffectInstance, Quantity
 from dropo.core.services.validation import Array
 from dropo.diagnosis.search.linearization import Library, LinearizedWindows
 from dropo.diagnosis.search.whitening import Whitener, learn_noise
-from dropo.mjmodel.joints import degrees_of_freedom
+from dropo.mjmodel.joints import degrees_of_freedom, inertias
 
 EFFECT = "unexplained_force"
 """Name of the effect that stands for an impulse; it is no candidate for a cause."""
@@ -59,9 +59,10 @@ def impulses(model: Any, length: int, pieces: int = 10) -> list[EffectInstance]:
         A generalized force [N m or N] in that piece alone; its target is the joint.
     """
     named = degrees_of_freedom(model)
+    inertia = inertias(model).tolist()
     pieces = min(length, pieces)
     return [
-        _impulse(model, dof, piece, pieces, name, unit)
+        _impulse(inertia, dof, piece, pieces, name, unit)
         for piece in range(pieces)
         for dof, (name, unit) in enumerate(named)
     ]
@@ -87,11 +88,13 @@ def impulses_of(library: Library) -> list[EffectInstance]:
     return [instance for instance in library.instances if instance.effect == EFFECT]
 
 
-def _impulse(model: Any, dof: int, piece: int, pieces: int, name: str, unit: str) -> EffectInstance:
+def _impulse(
+    inertia: Sequence[float], dof: int, piece: int, pieces: int, name: str, unit: str
+) -> EffectInstance:
     """The force on one degree of freedom in one piece of a window."""
-    scale = 10.0 * max(float(model.dof_M0[dof]), 1e-9)  # accelerates it by 10 rad/s^2 (m/s^2)
+    scale = 10.0 * max(inertia[dof], 1e-9)  # accelerates it by 10 rad/s^2 (m/s^2)
     force = Quantity("force", unit, -1e3 * scale, 1e3 * scale, (scale,))
-    applied = partial(_force, model.nv, dof, piece, pieces)
+    applied = partial(_force, len(inertia), dof, piece, pieces)
     return EffectInstance(EFFECT, name, (force,), str(piece), applied_force=applied)
 
 

@@ -10,7 +10,7 @@ from dropo.diagnosis.laws.forces import residual_forces
 from dropo.diagnosis.search.linearization import Library
 from dropo.diagnosis.search.trials import State
 from dropo.effects.law import units_at
-from dropo.simulators.mujoco.simulator import MujocoSimulator
+from dropo.mjmodel.robot_simulator import RobotSimulator
 
 BINS = 12
 """Parts of the data in each of which one force is fitted."""
@@ -45,7 +45,7 @@ def law_curve(
         If the simulator is not a `MujocoSimulator`, around which alone laws are found.
     """
     simulator = library.simulator
-    if not isinstance(simulator, MujocoSimulator):
+    if not isinstance(simulator, RobotSimulator):
         raise AssertionError("laws are found around a MuJoCo model")
     forces = residual_forces(library, without, floor)
     joint = joint_at(simulator, str(law.target))

@@ -32,9 +32,9 @@ from dropo.diagnosis.search.selection import Selection
 from dropo.diagnosis.search.trials import Batch, State, Trial, most_plausible_first
 from dropo.effects.law import hidden_states, joint_variables, law_instance
 from dropo.effects.support.formula_values import Program, evaluate
-from dropo.mjmodel.forces import motors
+from dropo.mjmodel.dynamics.forces import motors
 from dropo.mjmodel.joints import Joint, joints
-from dropo.simulators.mujoco.simulator import MujocoSimulator
+from dropo.mjmodel.robot_simulator import RobotSimulator
 
 LETTER = "c"
 """What the constants before the terms are called."""
@@ -171,7 +171,7 @@ def find_laws(
     WithLaws or None
         None where no law is confirmed.
     """
-    if not isinstance(selection.library.simulator, MujocoSimulator):
+    if not isinstance(selection.library.simulator, RobotSimulator):
         return None
     begun = last
     tried = 0
@@ -202,7 +202,7 @@ def find_laws(
 
 
 def _proposals(
-    simulator: MujocoSimulator,
+    simulator: RobotSimulator,
     forces: ResidualForces,
     taken: set[str | None],
     settings: LawSettings,
@@ -251,7 +251,7 @@ def _proposals(
 
 
 def _ranges(
-    simulator: MujocoSimulator,
+    simulator: RobotSimulator,
     forces: ResidualForces,
     joint: Joint,
     measured: Sequence[str],
@@ -271,7 +271,7 @@ def _ranges(
 
 
 def _columns(
-    simulator: MujocoSimulator,
+    simulator: RobotSimulator,
     forces: ResidualForces,
     joint: Joint,
     shapes: Sequence[Shape],
@@ -295,12 +295,12 @@ def _columns(
     return columns, lengths
 
 
-def joint_at(simulator: MujocoSimulator, name: str) -> Joint:
+def joint_at(simulator: RobotSimulator, name: str) -> Joint:
     """Find a slide or hinge by its name.
 
     Parameters
     ----------
-    simulator : MujocoSimulator
+    simulator : RobotSimulator
         The model.
     name : str
         The joint's name.
@@ -336,7 +336,7 @@ def program_of(law: EffectInstance) -> Program:
 
 
 def values_at(
-    simulator: MujocoSimulator,
+    simulator: RobotSimulator,
     forces: ResidualForces,
     joint: Joint,
     program: Program,
@@ -347,7 +347,7 @@ def values_at(
 
     Parameters
     ----------
-    simulator : MujocoSimulator
+    simulator : RobotSimulator
         The model.
     forces : ResidualForces
         The windows.
@@ -466,7 +466,7 @@ def _of_the_machine(
 ) -> bool:
     """Whether a law is confirmed with infinitely short physics steps too."""
     simulator = library.simulator
-    if not isinstance(simulator, MujocoSimulator):
+    if not isinstance(simulator, RobotSimulator):
         raise AssertionError("laws are looked for around a MuJoCo model")
     before = _padded_side(state.test, library)
 

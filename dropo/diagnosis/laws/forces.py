@@ -16,8 +16,8 @@ from dropo.diagnosis.findings.unexplained_forces import impulses_of, responses_t
 from dropo.diagnosis.search.linearization import Library, LinearizedWindows
 from dropo.diagnosis.search.trials import State
 from dropo.diagnosis.search.whitening import Whitener, learn_noise
+from dropo.mjmodel.robot_simulator import RobotSimulator
 from dropo.simulators.mujoco.layers import changes_commands, commands_per_physics_step
-from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 RANK = 1e-9
 """Relative length below which what remains of a column is rounding."""
@@ -119,7 +119,7 @@ def residual_forces(library: Library, state: State, floor: Array) -> ResidualFor
     Parameters
     ----------
     library : Library
-        With impulses among its effects, around a `MujocoSimulator`.
+        With impulses among its effects, around a `RobotSimulator`.
     state : State
         The model with what was found.
     floor : (p,) array
@@ -135,7 +135,7 @@ def residual_forces(library: Library, state: State, floor: Array) -> ResidualFor
         If the simulator is not a `MujocoSimulator`, around which alone laws are looked for.
     """
     simulator = library.simulator
-    if not isinstance(simulator, MujocoSimulator):
+    if not isinstance(simulator, RobotSimulator):
         raise AssertionError("laws are looked for around a MuJoCo model")
     train = state.train
     instances = impulses_of(library)
@@ -182,12 +182,12 @@ def residual_forces(library: Library, state: State, floor: Array) -> ResidualFor
     )
 
 
-def step_errors(simulator: MujocoSimulator, side: LinearizedWindows) -> Array:
+def step_errors(simulator: RobotSimulator, side: LinearizedWindows) -> Array:
     """Estimate what predictions would change with infinitely short physics steps.
 
     Parameters
     ----------
-    simulator : MujocoSimulator
+    simulator : RobotSimulator
         The model with every effect.
     side : LinearizedWindows
         W windows of n measurements.
@@ -206,7 +206,7 @@ def step_errors(simulator: MujocoSimulator, side: LinearizedWindows) -> Array:
 
 
 def _states(
-    simulator: MujocoSimulator, state: State, windows: LinearizedWindows, loadings: Array
+    simulator: RobotSimulator, state: State, windows: LinearizedWindows, loadings: Array
 ) -> tuple[StepState, RecordedPast]:
     """The states of all windows as estimated from their measurements, and the data.
 
@@ -253,7 +253,7 @@ def _states(
     return states, simulator.recorded_past(segments, np.arange(count))
 
 
-def _active(state: State, simulator: MujocoSimulator) -> ActiveEffects:
+def _active(state: State, simulator: RobotSimulator) -> ActiveEffects:
     """The effects of a state with their magnitudes."""
     free = magnitudes_of(simulator.effects, state.theta[len(simulator.bindings) :])
     return [*simulator.fixed, *free]

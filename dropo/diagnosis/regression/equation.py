@@ -22,13 +22,13 @@ from dropo.core.services.validation import Array
 from dropo.diagnosis.regression.kernels import REACH, apply_kernel, derivative_kernels, held_kernel
 from dropo.diagnosis.search.library import robot_of
 from dropo.mjmodel.bodies import moving_bodies
-from dropo.mjmodel.body_regressors import inverse_dynamics
-from dropo.mjmodel.contact_free import projectors
-from dropo.mjmodel.forces import LinearDrives, linear_drives
-from dropo.mjmodel.joints import Joint, all_joints, joints
+from dropo.mjmodel.dynamics.body_regressors import inverse_dynamics
+from dropo.mjmodel.dynamics.contact_free import projectors
+from dropo.mjmodel.dynamics.forces import LinearDrives, linear_drives
+from dropo.mjmodel.joints import Joint, all_joints, dry_frictions, joints
+from dropo.mjmodel.options import physics_step
 from dropo.mjmodel.robot_simulator import RobotSimulator
 from dropo.simulators.mujoco.layers import change_commands, clamp
-from dropo.simulators.mujoco.worker import Worker
 
 
 @dataclass(frozen=True)
@@ -303,9 +303,8 @@ def model_of(simulator: RobotSimulator) -> Model:
     Model
         A model with the fixed effects that are numbers of it.
     """
-    worker = Worker(simulator.model, ())
-    worker.set(np.zeros(0), [one for one in simulator.fixed if not one[0].general])
-    return worker.model
+    written = [one for one in simulator.fixed if one[0].model is not None and not one[0].general]
+    return simulator.without_parameters().model_of(np.zeros(0), written)
 
 
 def _drives_at_rest(simulator: RobotSimulator) -> LinearDrives:
@@ -486,7 +485,7 @@ def _delays(simulator: RobotSimulator, settings: EquationSettings) -> Array:
     """
     step = simulator.control_step
     longest = min(settings.delays * step, settings.longest_delay)
-    return np.linspace(-float(simulator.model.opt.timestep), longest, 25)
+    return np.linspace(-physics_step(simulator.model), longest, 25)
 
 
 def _first_width(log: Log, settings: EquationSettings) -> float:
@@ -566,7 +565,7 @@ def _stretch_equation(
             (len(kept), *values.shape[1:])
         )
 
-    needed = motion.forces + np.asarray(model.dof_frictionloss) * direction
+    needed = motion.forces + dry_frictions(model) * direction
     by_inertia = motion.by_inertia
     by_gravity = motion.by_gravity
     at_dofs = position[:, [0] * model.nv] * 0.0

@@ -27,8 +27,9 @@ from dropo.diagnosis.regression.result import JointForces, QuickDiagnosis
 from dropo.diagnosis.regression.terms import Term, terms_of
 from dropo.diagnosis.regression.wiring import wiring_faults
 from dropo.diagnosis.search.library import robot_of
-from dropo.mjmodel.bodies import extent, moving_bodies
+from dropo.mjmodel.bodies import extent, moving_bodies, moving_mass
 from dropo.mjmodel.joints import actuators, joints
+from dropo.mjmodel.options import physics_step
 from dropo.mjmodel.robot_simulator import RobotSimulator
 
 
@@ -350,7 +351,7 @@ class Missing:
         # A simulation of the model acts early by itself: what is to be typed makes up for that.
         delay = Estimate(solution.delay - self.fitter.own_delay, errors.pop(0), "s", None)
         if delay.value > 0:
-            add("delay", ("actuator_delay", everywhere, ""), float(model.opt.timestep), delay=delay)
+            add("delay", ("actuator_delay", everywhere, ""), physics_step(model), delay=delay)
         return found
 
     def at_bound(self, i: int) -> bool:
@@ -575,7 +576,7 @@ def _errors(
     offset = 1 if GAIN in solution.chosen else 0
     for place, i in enumerate(solution.terms):
         step[offset + place] = 0.5 * fitter.terms[i].least * (1 + solution.gain)
-    step[-1] = 0.5 * float(simulator.model.opt.timestep)
+    step[-1] = 0.5 * physics_step(simulator.model)
     totals = values.copy()
     for place, i in enumerate(solution.terms):
         totals[offset + place] += fitter.terms[i].model or 0.0
@@ -703,9 +704,8 @@ def _fitter(simulator: RobotSimulator, equation: Equation, settings: QuickSettin
     """What fits the numbers of an equation."""
     model = simulator.model
     reaches = [settings.reach * extent(model, body) for body, _ in moving_bodies(model)]
-    weight = float(sum(model.body_mass[body] for body, _ in moving_bodies(model)))
     terms: list[Term] = terms_of(simulator, equation)
-    return Fitter(equation, terms, reaches, weight, settings.fit)
+    return Fitter(equation, terms, reaches, moving_mass(model), settings.fit)
 
 
 def _values(solution: Solution) -> Array:

@@ -8,8 +8,10 @@ import numpy as np
 from dropo.core.contracts.effect import Model
 from dropo.core.services.validation import Array
 from dropo.diagnosis.regression.equation import Equation, model_of
-from dropo.mjmodel.bodies import moving_bodies
-from dropo.mjmodel.joints import Joint, actuators, joints
+from dropo.mjmodel.bodies import body_masses, mass_centre, moving_bodies
+from dropo.mjmodel.dynamics.drives import feedback_at
+from dropo.mjmodel.joints import Joint, actuators, joints, numbers_of
+from dropo.mjmodel.options import gravity, physics_step
 from dropo.mjmodel.robot_simulator import RobotSimulator
 
 
@@ -83,7 +85,7 @@ def terms_of(simulator: RobotSimulator, equation: Equation) -> list[Term]:
         found += _joint_terms(model, joint, equation)
     if equation.by_joint:  # the weight of a free base fixes the scale of each drive
         found += _gain_terms(model, equation)
-    if np.any(model.opt.gravity):
+    if np.any(gravity(model)):
         found += _tilt_terms(model, equation)
     for k, (body, name) in enumerate(moving_bodies(model)):
         found += _body_terms(model, body, name, equation.by_inertia[k])
@@ -93,9 +95,9 @@ def terms_of(simulator: RobotSimulator, equation: Equation) -> list[Term]:
 def _joint_terms(model: Model, joint: Joint, equation: Equation) -> list[Term]:
     """Rotor, friction, spring and offset of one joint."""
     dof = joint.qvel
-    step = float(model.opt.timestep)
-    kp, kv = _feedback(model, joint)
-    damping = float(np.ravel(model.dof_damping[dof])[0])
+    step = physics_step(model)
+    kp, kv = feedback_at(model, joint)
+    own = numbers_of(model, joint)
 
     def term(
         effect: str,
@@ -114,7 +116,6 @@ def _joint_terms(model: Model, joint: Joint, equation: Equation) -> list[Term]:
             effect, joint.name, variant, quantity, unit, lowest, base, least, family, values
         )
 
-    rest = float(model.qpos_spring[joint.qpos])
     found = [
         term(
             "joint_armature",
@@ -122,9 +123,9 @@ def _joint_terms(model: Model, joint: Joint, equation: Equation) -> list[Term]:
             joint.inertia,
             equation.column("acceleration", dof),
             "armature",
-            base=float(model.dof_armature[dof]),
+            base=own.armature,
             bounded=True,
-            least=(kv + damping) * step / 2,
+            least=(kv + own.damping) * step / 2,
         ),
         term(
             "joint_damping",
@@ -132,7 +133,7 @@ def _joint_terms(model: Model, joint: Joint, equation: Equation) -> list[Term]:
             joint.damping,
             equation.column("velocity", dof),
             "damping",
-            base=damping,
+            base=own.damping,
             bounded=True,
             least=kp * step / 2,
         ),
@@ -142,16 +143,16 @@ def _joint_terms(model: Model, joint: Joint, equation: Equation) -> list[Term]:
             joint.force,
             equation.column("direction", dof),
             "friction",
-            base=float(model.dof_frictionloss[dof]),
+            base=own.friction,
             bounded=True,
         ),
         term(
             "joint_stiffness",
             "stiffness",
             joint.stiffness,
-            equation.column("position", dof) - rest * equation.column("one", dof),
+            equation.column("position", dof) - own.rest * equation.column("one", dof),
             "stiffness",
-            base=float(np.ravel(model.jnt_stiffness[joint.id])[0]),
+            base=own.stiffness,
         ),
         term(
             "joint_stiffness",
@@ -192,25 +193,12 @@ def _gain_terms(model: Model, equation: Equation) -> list[Term]:
     return found
 
 
-def _feedback(model: Model, joint: Joint) -> tuple[float, float]:
-    """Stiffness [N m/rad] and damping [N m s/rad] of the servos at a joint."""
-    kp = kv = 0.0
-    for actuator in actuators(model):
-        if actuator.joint is None or actuator.joint.id != joint.id:
-            continue
-        gear = float(model.actuator_gear[actuator.id, 0])
-        bias = model.actuator_biasprm[actuator.id]
-        kp += abs(float(bias[1])) * gear**2
-        kv += abs(float(bias[2])) * gear**2
-    return kp, kv
-
-
 def _tilt_terms(model: Model, equation: Equation) -> list[Term]:
     """The direction of gravity, turned about the world's x and y axes."""
-    gravity = np.asarray(model.opt.gravity)
+    down = gravity(model)
     found = []
     for axis, letter in enumerate("xy"):
-        turned = np.cross(np.eye(3)[axis], gravity)
+        turned = np.cross(np.eye(3)[axis], down)
         column = equation.by_gravity @ turned
         found.append(
             Term("gravity_tilt", None, letter, letter, "rad", -np.inf, None, 0.0, "tilt", column)
@@ -220,8 +208,8 @@ def _tilt_terms(model: Model, equation: Equation) -> list[Term]:
 
 def _body_terms(model: Model, body: int, name: str, by_inertia: Array) -> list[Term]:
     """The mass of a body, its centre of mass, and its rotational inertia."""
-    place = np.asarray(model.body_ipos[body])
-    mass = float(model.body_mass[body])
+    place = mass_centre(model, body)
+    mass = float(body_masses(model)[body])
     found = [
         Term(
             "body_mass",
@@ -266,7 +254,7 @@ def point_mass(place: Array) -> Array:
     Returns
     -------
     (10,) array
-        As `dropo.mjmodel.body_regressors.INERTIAL` orders them.
+        As `dropo.mjmodel.dynamics.body_regressors.INERTIAL` orders them.
     """
     x, y, z = place
     moments = (y * y + z * z, x * x + z * z, x * x + y * y, -x * y, -x * z, -y * z)
@@ -286,7 +274,7 @@ def point_mass_slope(place: Array, axis: Array) -> Array:
     Returns
     -------
     (10,) array
-        Per metre, as `dropo.mjmodel.body_regressors.INERTIAL` orders them.
+        Per metre, as `dropo.mjmodel.dynamics.body_regressors.INERTIAL` orders them.
     """
     step = 1e-6
     return (point_mass(place + step * axis) - point_mass(place - step * axis)) / (2 * step)

@@ -8,7 +8,7 @@ from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.validation import Array
 from dropo.diagnosis.regression.equation import Log
 from dropo.diagnosis.regression.result import WiringFault
-from dropo.mjmodel.forces import position_servos
+from dropo.mjmodel.dynamics.forces import position_servos
 from dropo.mjmodel.robot_simulator import RobotSimulator
 
 

@@ -6,7 +6,6 @@ without it is therefore fitted with steps that are more exact, too: a rival that
 
 from dataclasses import dataclass, field, replace
 
-import mujoco
 import numpy as np
 
 from dropo.core.services.evaluation_log import EvaluationLog
@@ -16,6 +15,7 @@ from dropo.diagnosis.search.linearization import Library, linearize, shift_linea
 from dropo.diagnosis.search.record import Sides, recorded_sides
 from dropo.diagnosis.search.refit import NO_INDICES, refit, settle
 from dropo.diagnosis.search.trials import State, penalized_log_likelihood
+from dropo.mjmodel.options import integrator
 from dropo.mjmodel.robot_simulator import RobotSimulator
 
 
@@ -148,7 +148,7 @@ class Rivals:
 
     def _rivals(self, simulator: RobotSimulator) -> tuple[Arithmetic, ...]:
         """Those of a model with its integrator."""
-        if simulator.model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+        if integrator(simulator.model) == "RK4":
             return self.settings.of_runge_kutta
         return self.settings.rivals
 

@@ -22,8 +22,13 @@ class SelectionSettings:
     Attributes
     ----------
     false_alarm : float
-        Level of the split likelihood-ratio test: the held-out gain must be above
-        log(effects / false_alarm) [1]_.
+        The held-out gain must be above log(effects / false_alarm). For two fixed models, the
+        first of them true, a split likelihood-ratio [1]_ is that large with a probability of
+        false_alarm / effects at most. Here it is a threshold, and no bound on false alarms: the
+        model without the effect is not fitted to the windows held out, which the bound asks for
+        where it has numbers of its own, the noise is estimated, and the same windows choose among
+        effects, one after another. How often wrong effects pass is counted by
+        `dropo recover hidden-effects`.
     window_z : float
         Standard errors by window by which the held-out gain, or its signed ranks, must exceed 0.
     block_z : float

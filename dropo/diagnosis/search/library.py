@@ -150,7 +150,7 @@ def changed_parameters(
             found[names.index(name)] = size
     if instance.model is None or not simulator.bindings:
         return found
-    changed = copy.copy(simulator.model)
+    changed = copy.copy(simulator.simulated)
     instance.model(changed, sizes)
     for i, binding in enumerate(simulator.bindings):
         before = binding.read(simulator.model)

@@ -8,7 +8,7 @@ import numpy as np
 from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity, StepState
 from dropo.core.services.validation import Array
 from dropo.effects.support.play_operator import play
-from dropo.mjmodel.forces import AFFINE_BIAS, motors
+from dropo.mjmodel.dynamics.forces import AFFINE_BIAS, motors
 from dropo.mjmodel.joints import Joint, actuators
 
 

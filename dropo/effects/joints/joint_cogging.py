@@ -7,7 +7,7 @@ import numpy as np
 
 from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity, StepState
 from dropo.core.services.validation import Array
-from dropo.mjmodel.forces import torque_scale
+from dropo.mjmodel.dynamics.forces import torque_scale
 from dropo.mjmodel.joints import Joint, actuators
 
 COGS = (6, 7, 8, 10, 12, 14, 16, 18, 20, 21, 24, 28, 30, 36, 42, 48)

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from dropo.core.contracts.effect import EffectContext, EffectInstance
 from dropo.effects.support.model_field import FieldEntry, ModelField, by_kind
-from dropo.mjmodel.forces import torque_scale
+from dropo.mjmodel.dynamics.forces import torque_scale
 from dropo.mjmodel.joints import joints
 
 FIELD = ModelField("joint_friction", "dof_frictionloss", "frictionloss", bound=50.0)

@@ -7,7 +7,7 @@ import numpy as np
 
 from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity, StepState
 from dropo.core.services.validation import Array
-from dropo.mjmodel.forces import motor_force, motors
+from dropo.mjmodel.dynamics.forces import motor_force, motors
 from dropo.mjmodel.joints import Joint
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity, StepState
 from dropo.core.services.validation import Array
-from dropo.mjmodel.forces import torque_scale
+from dropo.mjmodel.dynamics.forces import torque_scale
 from dropo.mjmodel.joints import Joint, joints
 
 SIGN_WIDTH = 1e-2

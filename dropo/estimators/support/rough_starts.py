@@ -18,6 +18,7 @@ from dropo.estimators.support.first_mean.global_search import SETTINGS as EVERYW
 from dropo.estimators.support.first_mean.global_search import GlobalSearchSettings
 from dropo.estimators.support.standard_errors import local_jacobian
 from dropo.estimators.support.trust_region import TrustRegionSettings
+from dropo.mjmodel.options import physics_step
 from dropo.mjmodel.robot_simulator import RobotSimulator
 
 SMOOTHED = (
@@ -160,9 +161,9 @@ def of_the_physics_step(
         other = finer.predict(fit.mean[None], segments)[0]
     simulator.steps += finer.steps
     slopes = np.asarray(local_jacobian(objective, fit.mean, problem)[:])
-    moments = getattr(objective, "moments", None)
+    moments = objective.moments(point)
     spread = np.diag(np.maximum(fit.epsilon, 1e-300))
-    covariance = spread[None] if moments is None else moments(point)[1]
+    covariance = spread[None] if moments is None else moments[1]
     whiten = np.linalg.inv(np.linalg.cholesky(covariance))
     there = np.isfinite(other) & np.isfinite(own)
     residual = np.where(there, simulator.targets(segments) - own, 0.0)
@@ -176,7 +177,7 @@ def of_the_physics_step(
     far = np.flatnonzero(np.abs(moved) > fit.mean_se)
     if not len(far):
         return ()
-    step = 500 * float(simulator.model.opt.timestep)
+    step = 500 * physics_step(simulator.model)
     sizes = ", ".join(
         f"{problem.space.names[i]} by {moved[i]:+.2g} ({abs(moved[i]) / fit.mean_se[i]:.1f} se)"
         for i in far.tolist()

@@ -280,10 +280,10 @@ def _check_model(
 ) -> ModelCheck:
     """The model check, by whitened residuals where the measurements' covariance is known."""
     learned = objective is None or len(objective.unknowns) > len(family.unknowns)
-    residuals = getattr(objective, "whitened_residuals", None)
-    whitened = getattr(objective, "whitened", None)
-    if residuals is not None and not learned and problem.noise_degrees is None:
-        whitened = residuals(phi)
+    whitened = None if objective is None else objective.whitened
+    if objective is not None and not learned and problem.noise_degrees is None:
+        of_rows = objective.whitened_residuals(phi)
+        whitened = whitened if of_rows is None else of_rows
     return check_model(
         problem,
         mean_prediction,
@@ -291,7 +291,7 @@ def _check_model(
         epsilon,
         whitened=whitened,
         learned=learned,
-        unexplained=getattr(objective, "unexplained", None),
+        unexplained=None if objective is None else objective.unexplained,
     )
 
 

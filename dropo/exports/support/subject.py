@@ -19,11 +19,13 @@ from dropo.core.services.errors import DropoError, Incompatible
 from dropo.core.services.tables import number
 from dropo.core.services.validation import Array
 from dropo.exports.support.distribution import FittedDistribution, distribution_of
-from dropo.mjmodel.drives import Drive
+from dropo.mjmodel.dynamics.drives import Drive
 from dropo.mjmodel.fields import OPTION, Binding, first_row, owner_of
 from dropo.mjmodel.names import actuator_names
+from dropo.mjmodel.numbers import array_of, changed_numbers
+from dropo.mjmodel.options import physics_step
 from dropo.problems.file.model_xml import format_model, is_in_model
-from dropo.problems.file.plain_model import active_effects, changed_numbers
+from dropo.problems.file.plain_model import active_effects
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 LINEAR = 1e-9
@@ -307,25 +309,6 @@ def _bounds(parameter: Any) -> tuple[float, float]:
     return parameter.lower, parameter.upper
 
 
-def array_of(model: mujoco.MjModel, key: str) -> Any:
-    """Read a field of a model by its name.
-
-    Parameters
-    ----------
-    model : mujoco.MjModel
-        The model.
-    key : str
-        An array of the model, or an entry of mjOption with "opt." before it.
-
-    Returns
-    -------
-    array
-        The field itself, of the shape that MuJoCo gives it; () for an option of one number.
-    """
-    owner = model.opt if key.startswith(OPTION) else model
-    return np.asarray(getattr(owner, key.removeprefix(OPTION)))
-
-
 def changed_by(pairs: ActiveEffects, model: mujoco.MjModel) -> mujoco.MjModel:
     """Change a copy of a model by effects; constants that MuJoCo derives stay as they are.
 
@@ -435,7 +418,7 @@ def delays_of(
     """
     delays: dict[str, int] = {}
     others = []
-    step = float(subject.model.opt.timestep)
+    step = physics_step(subject.model)
     for instance, sizes in subject.around:
         if instance.effect != "actuator_delay":
             others.append((instance, sizes))

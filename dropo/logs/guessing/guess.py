@@ -30,7 +30,7 @@ from dropo.logs.guessing.words import ColumnName
 from dropo.logs.readers.reader import Log
 from dropo.logs.signals.stamps import increasing
 from dropo.logs.units import UNITS, seconds
-from dropo.mjmodel.drives import servo_of
+from dropo.mjmodel.dynamics.drives import command_kind
 from dropo.mjmodel.joints import Joint, ModelJoints
 
 Ask = Callable[[str, Sequence[str]], str]
@@ -472,8 +472,7 @@ class _Guesser:
     def _time_of(self, topic: str | None, rows: int) -> Array:
         """The stamps [s] of a topic's rows."""
         entry = self.guess.mapping.get("time", {})
-        stamps = getattr(self._log, "stamps", None)
-        column = stamps(topic) if stamps is not None else entry.get("column")
+        column = entry.get("column") or self._log.stamps(topic)
         if column is None:
             return np.arange(rows) / float(self._given.get("rate") or 1.0)
         values = self._log.read(topic, [column], lambda fraction, text: None)[column]
@@ -557,13 +556,7 @@ class _Guesser:
     def _kind_wanted(self) -> str | None:
         """The kind of command that the model's actuators take; None where it has none."""
         model = self._robot.model
-        kinds = []
-        for actuator in self._robot.actuators.values():
-            if servo_of(model, actuator.id) is not None:
-                kinds.append(words.POSITION)
-            else:
-                bias = model.actuator_biasprm[actuator.id]
-                kinds.append(words.VELOCITY if bias[1] == 0 != bias[2] else words.EFFORT)
+        kinds = [command_kind(model, one.id) for one in self._robot.actuators.values()]
         return max(dict.fromkeys(kinds), key=kinds.count) if kinds else None
 
     def _take_commands(

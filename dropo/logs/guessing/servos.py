@@ -10,9 +10,9 @@ from dropo.core.services.validation import Array
 from dropo.logs.preparing import clean_run
 from dropo.logs.recordings import LogRun
 from dropo.logs.signals.velocities import estimate_velocities
-from dropo.mjmodel.forces import inverse_forces
-from dropo.mjmodel.joints import ModelJoints
-from dropo.mjmodel.robots import DriveGuess
+from dropo.mjmodel.dynamics.forces import inverse_forces
+from dropo.mjmodel.files.robots import DriveGuess
+from dropo.mjmodel.joints import ModelJoints, numbers_of, reference_pose
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class _Motion:
         first = next(one for one in run.series if one.channel.field == "qpos")
         self._time = first.time[: settings.rows]
         n = len(self._time)
-        self._positions = np.tile(robot.model.qpos0, (n, 1))
+        self._positions = np.tile(reference_pose(robot.model), (n, 1))
         self._velocities = np.zeros((n, robot.model.nv))
         for joint in robot.joints.values():
             series = run.of("qpos", joint.name)
@@ -104,7 +104,7 @@ class _Motion:
         command = self._command(name)
         velocity = self._velocities[:, joint.qvel]
         position = self._positions[:, joint.qpos]
-        inertia = float(self._robot.model.dof_M0[joint.qvel])
+        inertia = numbers_of(self._robot.model, joint).inertia
         if drive.kind == "position":
             columns = [command - position, -velocity]
         else:

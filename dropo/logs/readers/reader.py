@@ -78,6 +78,21 @@ class Log(ABC):
         """List its topics, each with the type of its messages; none where the log is one table."""
         return {}
 
+    def stamps(self, topic: str | None) -> str | None:
+        """Name the column of time stamps.
+
+        Parameters
+        ----------
+        topic : str or None
+            One of its topics, where it has such.
+
+        Returns
+        -------
+        str or None
+            `time_column`, unless overridden; None where the log has no stamps of its own.
+        """
+        return self.time_column
+
     @abstractmethod
     def columns(self, topic: str | None) -> list[str]:
         """List the names of the columns; a vector's are "name[0]", "name[1]", ...

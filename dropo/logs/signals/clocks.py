@@ -21,7 +21,7 @@ from dropo.logs.signals.delays import estimate_clock, estimate_delay
 from dropo.logs.signals.joint_motion import ShownSensors, sensors_shown
 from dropo.logs.signals.resampling import resample, resample_rotations
 from dropo.logs.signals.velocities import estimate_velocities
-from dropo.mjmodel.forces import inverse_forces
+from dropo.mjmodel.dynamics.forces import inverse_forces
 from dropo.mjmodel.joints import Joint, ModelJoints
 from dropo.mjmodel.sensors import Sensor
 

@@ -10,7 +10,7 @@ from dropo.logs.recordings import LogRun, TimeSeries
 from dropo.logs.signals.resampling import align_signs, resample, resample_rotations
 from dropo.logs.signals.stamps import find_gaps
 from dropo.logs.signals.velocities import Velocities, estimate_velocities
-from dropo.mjmodel.joints import Joint, ModelJoints
+from dropo.mjmodel.joints import Joint, ModelJoints, reference_pose
 from dropo.mjmodel.sensors import Sensor, joints_before, sensors_along
 
 
@@ -120,7 +120,7 @@ def sensors_shown(
     if len(time) < minimum_rows:
         return None
     model = robot.model
-    positions = np.tile(model.qpos0, (len(time), 1))
+    positions = np.tile(reference_pose(model), (len(time), 1))
     velocities = np.zeros((len(time), model.nv))
     for name, series in measured.items():
         joint = robot.joints[name]

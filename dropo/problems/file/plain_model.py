@@ -19,7 +19,7 @@ from dropo.core.services.atomic_write import write_npz, write_text
 from dropo.core.services.errors import BadFile
 from dropo.core.services.source_text import SourceText
 from dropo.core.services.validation import Array
-from dropo.mjmodel.fields import OPTION
+from dropo.mjmodel.numbers import changed_numbers
 from dropo.problems.file.writer import write_problem
 from dropo.simulators.mujoco.plain_robot import Robot, write_numbers
 from dropo.simulators.mujoco.simulator import MujocoSimulator
@@ -145,36 +145,6 @@ def active_effects(simulator: MujocoSimulator, values: Array) -> ActiveEffects:
     """
     free = magnitudes_of(simulator.effects, values[len(simulator.bindings) :])
     return [*simulator.fixed, *free]
-
-
-def changed_numbers(plain: mujoco.MjModel, whole: mujoco.MjModel) -> dict[str, Array]:
-    """Collect the fields of a model that another one of the same structure has otherwise.
-
-    Parameters
-    ----------
-    plain, whole : MjModel
-        The models; the numbers are the second one's.
-
-    Returns
-    -------
-    dict of str to array
-        By name, those of mjOption with "opt." before it.
-    """
-    found: dict[str, Array] = {}
-    for prefix, old, new in (("", plain, whole), (OPTION, plain.opt, whole.opt)):
-        for name in dir(new):
-            value: Any = None if name.startswith("_") else getattr(new, name)
-            numbers = isinstance(value, np.ndarray) or (prefix and isinstance(value, int | float))
-            if not numbers or np.shape(getattr(old, name)) != np.shape(value):
-                continue
-            if not np.array_equal(getattr(old, name), value, equal_nan=_is_float(value)):
-                found[f"{prefix}{name}"] = np.array(value)
-    return found
-
-
-def _is_float(value: Any) -> bool:
-    """Whether numbers can be NaN."""
-    return bool(np.issubdtype(np.asarray(value).dtype, np.floating))
 
 
 def format_plain_model(simulator: MujocoSimulator, active: ActiveEffects) -> str:

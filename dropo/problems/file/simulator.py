@@ -16,8 +16,8 @@ from dropo.mjmodel.fields import (
     model_fields,
     option_fields,
 )
-from dropo.mjmodel.loading import load_model, specification
-from dropo.mjmodel.motors import motor_of, mount
+from dropo.mjmodel.files.loading import load_model, specification
+from dropo.mjmodel.files.motors import motor_of, mount
 from dropo.mjmodel.names import element_names
 from dropo.mjmodel.observation import Layout
 from dropo.problems.file.effects import read_effects

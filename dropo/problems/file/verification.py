@@ -13,9 +13,10 @@ from dropo.core.services.errors import BadFile
 from dropo.core.services.tables import Report, Table, number, steps_text
 from dropo.core.services.validation import Array
 from dropo.evaluation.held_out import errors_of, held_out_part, held_out_windows
+from dropo.mjmodel.numbers import changed_numbers
+from dropo.mjmodel.options import physics_step
 from dropo.problems.file.plain_model import (
     active_effects,
-    changed_numbers,
     format_plain_model,
     load_robot,
     read_plain_model,
@@ -298,7 +299,7 @@ class PlainRollout:
             out[i] = self._observed(robot)
             if is_late:
                 past = np.stack(trace)[None, :, late]
-                in_steps = delays[late] / model.opt.timestep
+                in_steps = delays[late] / physics_step(model)
                 out[i, late] = delay_columns(past, in_steps)[0, -1]
         return out
 

@@ -19,6 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 from dropo.core.records.trajectories import Ints, Trajectories
 from dropo.core.services.errors import SimulationFailed
 from dropo.core.services.validation import Array, float_array, require
+from dropo.mjmodel.bodies import body_masses
+from dropo.mjmodel.names import element_id
 from dropo.problems.hopper.model import BODIES, FRAME_SKIP, TRUTH, hopper_model
 from dropo.simulators.mujoco.closed_loop import Rollouts, closed_loop
 
@@ -243,8 +245,9 @@ class _Hopper:
         """
         blocks = -(-steps // self.hold)
         masses = self._draw_masses(rng, n, blocks)
-        body_mass = np.broadcast_to(self.model.body_mass, (n, blocks, self.model.nbody)).copy()
-        body_mass[:, :, [self.model.body(body).id for body in BODIES]] = masses
+        own = body_masses(self.model)
+        body_mass = np.broadcast_to(own, (n, blocks, len(own))).copy()
+        body_mass[:, :, [element_id(self.model, "body", body) for body in BODIES]] = masses
         starts = start_states(rng, n)
         noise = rng.standard_normal((n, steps, self.model.nu))
 

@@ -10,7 +10,7 @@ import math
 
 import mujoco
 
-from dropo.mjmodel.loading import gymnasium_spec
+from dropo.mjmodel.files.loading import gymnasium_spec
 
 BODIES = ("torso", "thigh", "leg", "foot")
 FRAME_SKIP = 4

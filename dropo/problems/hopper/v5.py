@@ -1,7 +1,9 @@
 """The published hopper transitions against a wrong model: Gymnasium's Hopper-v5 as it is."""
 
 from dropo.core.contracts.problem import Problem
-from dropo.mjmodel.loading import gymnasium_spec
+from dropo.mjmodel.bodies import body_masses, contact_margin, principal_inertia
+from dropo.mjmodel.files.loading import gymnasium_spec
+from dropo.mjmodel.names import element_id
 from dropo.problems.hopper.model import BODIES, FRAME_SKIP, MARGIN, hopper_model
 from dropo.problems.hopper.published import published
 from dropo.problems.hopper.task import hopping
@@ -51,10 +53,11 @@ def differences() -> dict[tuple[str, str | None], float]:
     true = hopper_model()
     out: dict[tuple[str, str | None], float] = {}
     for body in BODIES:
-        stock_body = stock.body(body)
-        true_body = true.body(body)
-        out["body_mass", body] = float(true_body.mass[0] - stock_body.mass[0])
-        ratio = true_body.inertia.max() / stock_body.inertia.max()
+        i = element_id(stock, "body", body)
+        j = element_id(true, "body", body)
+        out["body_mass", body] = float(body_masses(true)[j] - body_masses(stock)[i])
+        ratio = principal_inertia(true, j).max() / principal_inertia(stock, i).max()
         out["body_inertia", body] = float(ratio - 1)
-    out["contact_stiffness", None] = 2 * MARGIN - 2 * float(stock.geom("foot_geom").margin[0])
+    margin = contact_margin(stock, element_id(stock, "geom", "foot_geom"))
+    out["contact_stiffness", None] = 2 * MARGIN - 2 * margin
     return out

@@ -9,6 +9,8 @@ import numpy as np
 
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
+from dropo.mjmodel.joints import reference_pose
+from dropo.mjmodel.options import physics_step
 from dropo.problems.panda.reaching import joint_path
 from dropo.simulators.mujoco.closed_loop import Rollouts, closed_loop
 
@@ -104,7 +106,7 @@ def start_states(model: mujoco.MjModel, boxes: Array) -> Array:
         States, `qpos` then `qvel`.
     """
     states = np.zeros((len(boxes), model.nq + model.nv))
-    states[:, : model.nq] = model.qpos0
+    states[:, : model.nq] = reference_pose(model)
     states[:, :BOX] = angles_at(model, np.array(PLACE))
     states[:, BOX : BOX + 2] += boxes[:, :2]
     states[:, BOX + 3] = np.cos(boxes[:, 2] / 2)
@@ -208,7 +210,7 @@ def drive(
     Rollouts
         Their actions are the joint angles commanded [rad].
     """
-    arms = Arms(model, len(boxes), frame_skip * float(model.opt.timestep))
+    arms = Arms(model, len(boxes), frame_skip * physics_step(model))
     errors = noise * rng.standard_normal((steps, len(boxes), 3))
 
     def policy(states: Array, ids: Ints, step: int) -> Array:

@@ -9,17 +9,15 @@ from importlib.resources import as_file, files
 
 import mujoco
 import numpy as np
-from mujoco.batch import MODEL_FIELDS
 
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Ints, Trajectories
 from dropo.core.services.validation import Array
 from dropo.mjmodel.fields import FieldParameter
-from dropo.mjmodel.loading import load_model
+from dropo.mjmodel.files.loading import load_model
 from dropo.mjmodel.observation import exponential, multiply
 from dropo.problems.panda.pusher import BOX, drive
 from dropo.simulators.mujoco.simulator import MujocoSimulator
-from dropo.simulators.mujoco.worker import Worker
 
 FRAME_SKIP = 2  # physics steps of 5 ms
 STEPS = 1050  # transitions of 10 ms, as in the thesis
@@ -271,37 +269,3 @@ class Pusher:
         off = np.sum((boxes[:, :2] - pins) * aside, axis=1) + np.clip(place, -0.08, 0.08)
         forward = np.clip(3.0 * (self.start[0] + GOAL - short - boxes[:, 0]), 0.0, PUSHED)
         return forward[:, None] * ahead + 4.0 * off[:, None] * aside
-
-
-def fields_of(simulator: MujocoSimulator, values: Array) -> tuple[mujoco.MjModel, dict[str, Array]]:
-    """Parameter vectors as fields of a model, for `closed_loop`.
-
-    Parameters
-    ----------
-    simulator : MujocoSimulator
-        The simulator whose parameters they are.
-    values : (n, d) array
-        Parameter vectors.
-
-    Returns
-    -------
-    model : mujoco.MjModel
-        A model.
-    fields : dict of (n, 1, ...) arrays
-        Every field of it that the vectors change, derived ones too.
-    """
-    worker = Worker(simulator.model, simulator.bindings)
-    arrays: dict[str, list[Array]] = {}
-    for name in sorted(MODEL_FIELDS):
-        if isinstance(getattr(simulator.model, name, None), np.ndarray):
-            arrays[name] = []
-    for value in values:
-        worker.set(value)
-        for name, own in arrays.items():
-            own.append(getattr(worker.model, name).copy())
-    fields = {}
-    for name, own in arrays.items():
-        stacked = np.stack(own)[:, None]
-        if (stacked != getattr(worker.model, name)).any():
-            fields[name] = stacked
-    return worker.model, fields

@@ -7,6 +7,9 @@ import numpy as np
 
 from dropo.core.services.errors import BadArgument
 from dropo.core.services.validation import Array
+from dropo.mjmodel.appearance import posed
+from dropo.mjmodel.kinematics import site_pose
+from dropo.mjmodel.names import element_id
 
 
 @dataclass(frozen=True)
@@ -69,8 +72,8 @@ def joint_path(
     BadArgument
         If a pose is out of reach.
     """
-    data = mujoco.MjData(model)
-    site_id = model.site(site).id
+    data = posed(model)
+    site_id = element_id(model, "site", site)
     out = np.empty((len(positions), len(first)))
     angles = np.array(first, dtype=float)
     for i, (position, rotation) in enumerate(zip(positions, rotations, strict=True)):
@@ -98,12 +101,7 @@ def _pose_error(
     rotation: Array,
 ) -> tuple[Array, Array]:
     """The remaining translation and rotation (6,), and the site's Jacobian (6, q)."""
-    data.qpos[: len(angles)] = angles
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)
-    jacobian = np.zeros((6, model.nv))
-    mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], site)
-    current = data.site_xmat[site].reshape(3, 3)
-    turn = 0.5 * np.cross(current.T, rotation.T).sum(axis=0)
-    error = np.concatenate([position - data.site_xpos[site], turn])
-    return error, jacobian[:, : len(angles)]
+    pose = site_pose(model, data, site, angles)
+    turn = 0.5 * np.cross(pose.rotation.T, rotation.T).sum(axis=0)
+    error = np.concatenate([position - pose.position, turn])
+    return error, pose.jacobian[:, : len(angles)]

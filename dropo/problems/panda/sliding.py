@@ -3,7 +3,7 @@
 The problem of the thesis' section 6.3.2.
 """
 
-from functools import cache, lru_cache
+from functools import cache, lru_cache, partial
 from importlib.resources import as_file, files
 
 import mujoco
@@ -15,7 +15,11 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.registry import find
 from dropo.core.services.validation import Array, check_shape
+from dropo.mjmodel.bodies import body_masses, body_place
+from dropo.mjmodel.dynamics.drives import servo_of
 from dropo.mjmodel.fields import FieldParameter
+from dropo.mjmodel.names import element_id
+from dropo.mjmodel.options import physics_step
 from dropo.problems.panda.strikes import rest, strikes
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
@@ -98,8 +102,9 @@ def sliding_simulator(threads: int = 0) -> MujocoSimulator:
 def _gain(kind: str, joint: int, unit: str) -> FieldParameter:
     """The gain "kp" or "kd" of a joint's controller as a parameter."""
     name = f"servo{joint}"
-    servo = _model().actuator(name)
-    own = float(servo.gainprm[0] if kind == "kp" else -servo.biasprm[2])
+    servo = servo_of(_model(), element_id(_model(), "actuator", name))
+    assert servo is not None
+    own = servo.kp if kind == "kp" else servo.kv
     field = {"kp": "actuator_kp", "kd": "actuator_kv"}[kind]
     low = SEARCHED[0] * own
     high = SEARCHED[1] * own
@@ -125,8 +130,9 @@ def sliding_target(simulator: MujocoSimulator) -> MujocoSimulator:
     MujocoSimulator
         With the effects that no parameter stands for.
     """
+    puck = element_id(simulator.model, "body", "puck")
     slope = Quantity("slope", "1", 0, 1, (SLOPE,))
-    uneven = EffectInstance("uneven_board", None, (slope,), force=_downhill)
+    uneven = EffectInstance("uneven_board", None, (slope,), force=partial(_downhill, puck))
     effects = [(uneven, np.array([SLOPE]))]
     delays = {
         instance.target: instance
@@ -138,12 +144,11 @@ def sliding_target(simulator: MujocoSimulator) -> MujocoSimulator:
     return simulator.with_effects((), effects)
 
 
-def _downhill(state: StepState, magnitudes: Array) -> Array:
+def _downhill(puck: int, state: StepState, magnitudes: Array) -> Array:
     """The puck's weight along the board, where the board's height is a sum of waves."""
     out = np.zeros_like(state.qvel)
-    puck = state.model.body("puck")
-    weight = puck.mass[0] * 9.81
-    place = state.qpos[:, PUCK] + puck.pos[:2]
+    weight = body_masses(state.model)[puck] * 9.81
+    place = state.qpos[:, PUCK] + body_place(state.model, puck)[:2]
     for x, y, phase in WAVES:
         slope = magnitudes[0] * np.cos(place @ [x, y] + phase) / np.hypot(x, y)
         out[:, PUCK] -= weight * slope[:, None] * [x, y]
@@ -169,7 +174,7 @@ def commanded(latents: ArrayLike) -> Trajectories:
         If `latents` are not of the shape (n, 2).
     """
     model = _model()
-    actions = strikes(model, latents, STEPS, FRAME_SKIP * float(model.opt.timestep))
+    actions = strikes(model, latents, STEPS, FRAME_SKIP * physics_step(model))
     start = np.concatenate([rest(model), np.zeros(11)])
     rows = np.tile(start, (actions.shape[0] * STEPS, 1))
     ends = np.tile(np.arange(STEPS) == STEPS - 1, len(actions))

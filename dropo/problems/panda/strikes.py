@@ -9,6 +9,8 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
 from dropo.core.services.validation import Array, check_shape
+from dropo.mjmodel.bodies import body_place
+from dropo.mjmodel.names import element_id
 from dropo.problems.panda.reaching import joint_path
 
 LIMIT = 2.0  # latents lie within -2 and 2, their middle is 0
@@ -144,10 +146,15 @@ def rest(model: mujoco.MjModel, settings: StrikeSettings = DEFAULT) -> Array:
         If the pose is out of the arm's reach.
     """
     away = np.array([settings.run_up])
-    positions, rotations = _poses(model.body("puck").pos, away, np.zeros(1))
+    positions, rotations = _poses(_puck(model), away, np.zeros(1))
     angles = joint_path(model, "blade", positions, rotations, FIRST)[0]
     angles.flags.writeable = False
     return angles
+
+
+def _puck(model: mujoco.MjModel) -> Array:
+    """Where the puck (3,) is at first [m]."""
+    return body_place(model, element_id(model, "body", "puck"))
 
 
 @lru_cache(maxsize=1024)
@@ -170,7 +177,7 @@ def _strike(
     )
     turned = direction * _smooth(np.clip(1.4 * knots / run_up, 0, 1))
     away = settings.run_up - travelled
-    positions, rotations = _poses(model.body("puck").pos, away, turned)
+    positions, rotations = _poses(_puck(model), away, turned)
     angles = joint_path(model, "blade", positions, rotations, rest(model, settings))
     for array in (knots, angles):
         array.flags.writeable = False

@@ -17,6 +17,10 @@ import numpy as np
 from dropo.core.services.atomic_write import write_text
 from dropo.core.services.errors import SimulationFailed
 from dropo.core.services.validation import Array
+from dropo.mjmodel.joints import reference_pose
+from dropo.mjmodel.numbers import derive_constants
+from dropo.mjmodel.options import physics_step
+from dropo.simulators.mujoco.plain_robot import Robot
 
 LEGS = {"FR": (0.19, -0.05), "FL": (0.19, 0.05), "RR": (-0.19, -0.05), "RL": (-0.19, 0.05)}
 """Name of a leg -> where its hip is, forwards and to the left of the trunk's middle [m]."""
@@ -218,25 +222,27 @@ def walked(rng: np.random.Generator, walk: Walk = WALK, change: Change | None = 
     model = spec.compile()
     if change is not None:
         change(model)
-    data = mujoco.MjData(model)
-    mujoco.mj_setConst(model, data)
-    skip = round(1 / (walk.rate * model.opt.timestep))
-    data.qpos[7:] = np.tile(STANCE, 4)
-    data.ctrl[:] = data.qpos[7:]
-    mujoco.mj_step(model, data, 2 * round(1 / model.opt.timestep) // 2)
+    derive_constants(model)
+    step = physics_step(model)
+    skip = round(1 / (walk.rate * step))
+    robot = Robot(model, skip)
+    command = np.tile(STANCE, 4)
+    robot.reset(np.concatenate([reference_pose(model)[:7], command]), np.zeros(model.nv))
+    _hold(robot, command, 2 * round(1 / step) // 2)
     count = round(walk.seconds * walk.rate)
     time = np.arange(count) / walk.rate
     targets = _targets(command_rng, time, walk)
-    late = round(walk.late / model.opt.timestep)
+    late = min(round(walk.late / step), skip)
     states = np.empty((count, model.nq + model.nv))
     for t in range(count):
-        states[t] = np.concatenate([data.qpos, data.qvel])
+        states[t] = robot.state()[1:]
         # A late command leaves the one before it in force for a part of the step.
-        mujoco.mj_step(model, data, min(late, skip))
-        targets[t] += _balance(data, walk)
-        data.ctrl[:] = targets[t]
-        mujoco.mj_step(model, data, skip - min(late, skip))
-        if not (data.qpos[2] > walk.fallen and np.isfinite(data.qpos).all()):
+        _hold(robot, command, late)
+        targets[t] += _balance(robot.state()[1:], walk)
+        command = targets[t]
+        _hold(robot, command, skip - late)
+        positions = robot.state()[1 : 1 + model.nq]
+        if not (positions[2] > walk.fallen and np.isfinite(positions).all()):
             count = max(0, t - round(walk.falling * walk.rate))
             break
     if count < walk.shortest * walk.rate:
@@ -278,11 +284,17 @@ def _targets(rng: np.random.Generator, time: Array, walk: Walk) -> Array:
     return np.stack(targets, axis=1)
 
 
-def _balance(data: mujoco.MjData, walk: Walk) -> Array:
+def _hold(robot: Robot, command: Array, steps: int) -> None:
+    """Hold a command (12,) for some physics steps."""
+    for _ in range(steps):
+        robot.advance(command)
+
+
+def _balance(state: Array, walk: Walk) -> Array:
     """(12,) what targets add so that feet land where the trunk falls to [rad]."""
     turn = np.empty(9)
-    mujoco.mju_quat2Mat(turn, data.qpos[3:7])
-    forwards, aside, _ = turn.reshape(3, 3).T @ data.qvel[:3]
+    mujoco.mju_quat2Mat(turn, state[3:7])
+    forwards, aside, _ = turn.reshape(3, 3).T @ state[19:22]
     return np.tile([walk.balance * aside, -walk.balance * forwards, 0.0], 4)
 
 

@@ -14,8 +14,11 @@ from dropo.core.contracts.effect import EffectInstance
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.validation import Array
+from dropo.mjmodel.bodies import body_masses
 from dropo.mjmodel.fields import FieldParameter
-from dropo.mjmodel.loading import gymnasium_spec
+from dropo.mjmodel.files.loading import gymnasium_spec
+from dropo.mjmodel.joints import command_limits
+from dropo.mjmodel.names import element_names
 from dropo.problems.hopper.data import healthy, hopper_policy, start_states
 from dropo.problems.hopper.problem import hopper_simulator
 from dropo.problems.simulated.recording import Controller, record
@@ -263,7 +266,7 @@ def _without_total_mass(spec: mujoco.MjSpec) -> mujoco.MjSpec:
     """The same robot without `settotalmass`, of which newer versions of MuJoCo warn."""
     total = spec.compiler.settotalmass
     spec.compiler.settotalmass = -1
-    factor = total / float(spec.compile().body_mass.sum()) if total > 0 else 1.0
+    factor = total / float(body_masses(spec.compile()).sum()) if total > 0 else 1.0
     for geom in spec.geoms:
         geom.density = factor * geom.density
         geom.mass = factor * geom.mass
@@ -277,7 +280,7 @@ def _arm(xml: str, feedback: Feedback) -> RobotBuilder:
         spec = mujoco.MjSpec.from_string(xml)
         simulator = MujocoSimulator(spec, parameters, frame_skip=4, threads=threads)
         nv = simulator.model.nv
-        low, high = simulator.model.actuator_ctrlrange[0]
+        low, high = command_limits(simulator.model)[:, 0]
 
         def controller(rows: Array, random: Array) -> Array:
             angles = rows[:, :nv]
@@ -351,9 +354,9 @@ def masses(name: str) -> list[FieldParameter]:
     """
     model = simulated_robot(name).simulator.model
     parameters = []
-    for index in range(1, model.nbody):
-        body = model.body(index).name
-        mass = float(model.body_mass[index])
+    own = body_masses(model).tolist()
+    for body, index in list(element_names(model, "body").items())[1:]:
+        mass = own[index]
         parameters.append(
             FieldParameter(
                 f"{body}_mass", 0.5 * mass, 2 * mass, "kg", field="body_mass", element=body

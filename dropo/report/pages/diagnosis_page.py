@@ -10,7 +10,14 @@ from dropo import plots
 from dropo.core.records.figure_data import FigureData
 from dropo.core.records.fit_choices import ExcludedSpan
 from dropo.diagnosis.findings.replay import OddReplay
-from dropo.diagnosis.parts import Alternative, Cause, Leader, Suspect, effect_in_words
+from dropo.diagnosis.parts import (
+    Alternative,
+    Cause,
+    Leader,
+    Suspect,
+    are_stated,
+    effect_in_words,
+)
 from dropo.plots.causes import BRIDGE, in_order, words
 from dropo.report import parts
 from dropo.report.folder import Result
@@ -101,14 +108,15 @@ def finding_cards(content: dict[str, Any]) -> list[tuple[str, str, str]]:
     Returns
     -------
     list of (str, str, str)
-        The verdict and the causes, each as name, value, and whether it is good or bad.
+        The verdict and the causes, or what is missing acts like, each as name, value, and whether
+        it is good or bad.
     """
     named = [words(_label(cause)) for cause in _causes_of(content)]
     more = f" and {len(named) - SHOWN} more" if len(named) > SHOWN else ""
     causes = (", ".join(named[:SHOWN]) or "none") + more
     return [
         ("verdict", content["verdict"], GOOD.get(content["verdict"], "")),
-        ("cause", causes, ""),
+        ("acts like" if named and not are_stated(content["verdict"]) else "cause", causes, ""),
     ]
 
 
@@ -203,9 +211,10 @@ def causes_section(content: dict[str, Any]) -> Section:
     for cause in causes:
         if cause.formula:
             remarks.append(f"{cause.place}: {cause.called or 'a law without a name'}.")
-        if cause.acts_like:
+        if not are_stated(content["verdict"]):
             differs = f"its size differs with {cause.acts_like}"
-            remarks.append(f"{words(_label(cause))} only acts like the cause: {differs}.")
+            why = differs if cause.acts_like else "something remains unexplained beside it"
+            remarks.append(f"{words(_label(cause))} only acts like the cause: {why}.")
     lead = ""
     body = paragraph("No effect was confirmed on the data held out.")
     if rows:

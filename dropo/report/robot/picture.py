@@ -21,6 +21,7 @@ from dropo.mjmodel.appearance import (
     posed,
     shapes,
 )
+from dropo.mjmodel.joints import reference_pose
 from dropo.report.folder import Result
 from dropo.report.page import Section, plain
 from dropo.report.robot.camera import Camera, camera_of
@@ -78,9 +79,9 @@ def scene_of(result: Result) -> Scene | None:
     if simulator is None:
         return None
     model = simulator.model
-    places = part_places(model, model.qpos0[None])
+    qpos = reference_pose(model)
+    places = part_places(model, qpos[None])
     sizes = part_sizes(model)
-    qpos = np.array(model.qpos0)
     if result.predictions is not None:
         poses = poses_of(result.predictions, simulator, POSES)
         camera, _ = camera_of(poses.places, poses.sizes, WIDTH / HEIGHT)

@@ -7,7 +7,7 @@ import numpy as np
 
 from dropo.core.services.errors import DropoError
 from dropo.core.services.validation import Array
-from dropo.mjmodel.appearance import skeleton
+from dropo.mjmodel.appearance import move, posed, skeleton
 from dropo.report.robot.camera import Camera
 
 # Colours of the models before and after, as in the page's figures, and of what was measured.
@@ -51,8 +51,8 @@ class RobotRenderer:
             raise DropoError(f"MuJoCo cannot draw here: {error}. {advice}") from None
         for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
             self.renderer.scene.flags[flag] = 0
-        self.solid = mujoco.MjData(self.model)
-        self.ghost = mujoco.MjData(self.model)
+        self.solid = posed(self.model)
+        self.ghost = posed(self.model)
         self.camera = mujoco.MjvCamera()
         self.option = mujoco.MjvOption()
         mujoco.mjv_defaultFreeCamera(self.model, self.camera)
@@ -101,8 +101,7 @@ class RobotRenderer:
         """
         scene = self.renderer.scene
         for data, place in ((self.solid, qpos), (self.ghost, qpos if ghost is None else ghost)):
-            data.qpos[:] = place
-            self.mujoco.mj_fwdPosition(self.model, data)
+            move(self.model, data, place)
         self.renderer.update_scene(self.solid, self.camera, self.option)
         first = scene.ngeom
         dynamic = self.mujoco.mjtCatBit.mjCAT_DYNAMIC

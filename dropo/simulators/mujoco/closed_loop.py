@@ -6,13 +6,14 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from mujoco.batch import Batch, SimulationError
+from mujoco.batch import MODEL_FIELDS, Batch, SimulationError
 from numpy.typing import NDArray
 
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array, check_shape, require
 from dropo.mjmodel.warnings import suppress_mujoco_warnings
-from dropo.simulators.mujoco.simulator import MAX_STATE
+from dropo.simulators.mujoco.simulator import MAX_STATE, MujocoSimulator
+from dropo.simulators.mujoco.worker import Worker
 
 BatchPolicy = Callable[[Array, Ints, int], Array]
 """policy(states (m, nq + nv), ids (m,), step) -> actions (m, nu) of the simulations `ids`."""
@@ -166,3 +167,37 @@ def advance(batch: Batch, ids: Ints, steps: int) -> NDArray[np.bool_]:
         failed: NDArray[np.bool_] = batch.status[ids] != 0
         return failed
     return np.zeros(len(ids), dtype=bool)
+
+
+def fields_of(simulator: MujocoSimulator, values: Array) -> tuple[mujoco.MjModel, dict[str, Array]]:
+    """Give parameter vectors as fields of a model, for `closed_loop`.
+
+    Parameters
+    ----------
+    simulator : MujocoSimulator
+        The simulator whose parameters they are.
+    values : (n, d) array
+        Parameter vectors.
+
+    Returns
+    -------
+    model : mujoco.MjModel
+        A model.
+    fields : dict of (n, 1, ...) arrays
+        Every field of it that the vectors change, derived ones too.
+    """
+    worker = Worker(simulator.model, simulator.bindings)
+    arrays: dict[str, list[Array]] = {}
+    for name in sorted(MODEL_FIELDS):
+        if isinstance(getattr(simulator.model, name, None), np.ndarray):
+            arrays[name] = []
+    for value in values:
+        worker.set(value)
+        for name, own in arrays.items():
+            own.append(getattr(worker.model, name).copy())
+    fields = {}
+    for name, own in arrays.items():
+        stacked = np.stack(own)[:, None]
+        if (stacked != getattr(worker.model, name)).any():
+            fields[name] = stacked
+    return worker.model, fields

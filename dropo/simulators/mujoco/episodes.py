@@ -89,8 +89,12 @@ class Episodes:
     ):
         instances = [*simulator.effects, *(instance for instance, _ in simulator.fixed)]
         _refuse_recorded(instances)
-        general = simulator.general if any(instance.general for instance in instances) else None
-        model = copy.copy(general or simulator.model)
+        general = any(instance.general for instance in instances)
+        # what is given to others has the size of their model
+        own = simulator.model if whole else simulator.simulated
+        if general:
+            own = (simulator.whole_general if whole else simulator.general) or own
+        model = copy.copy(own)
         disabled = model.opt.disableflags if flags is None else flags
         model.opt.disableflags = disabled | mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self.simulator = simulator

@@ -222,7 +222,7 @@ def _force_balance(
     simulator: MujocoSimulator, value: Array, before: Array, after: Array
 ) -> _Balance:
     """The forces at the middle of each transition between whole states (N, nq + nv)."""
-    model = copy.copy(simulator.model)
+    model = copy.copy(simulator.simulated)
     for binding, number in zip(simulator.bindings, value[: len(simulator.bindings)], strict=True):
         binding.set(model, float(number))
     data = mujoco.MjData(model)

@@ -26,13 +26,14 @@ from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.trajectories import Ints, Segments
 from dropo.core.services.errors import BadArgument, Incompatible
 from dropo.core.services.validation import Array, require
-from dropo.mjmodel.contacts import touching
+from dropo.mjmodel.dynamics.contacts import touching
+from dropo.mjmodel.dynamics.holding_friction import hold_friction
 from dropo.mjmodel.fields import MOVES_FRAMES, Binding, FieldParameter, item_columns
-from dropo.mjmodel.holding_friction import hold_friction
-from dropo.mjmodel.loading import load_model, specification
+from dropo.mjmodel.files.loading import load_model, specification
 from dropo.mjmodel.names import element_names
 from dropo.mjmodel.observation import Layout
 from dropo.mjmodel.robot_simulator import RobotSimulator
+from dropo.mjmodel.visuals import without_visuals
 from dropo.mjmodel.warnings import suppress_mujoco_warnings
 from dropo.simulators.mujoco.layers import (
     changes_commands,
@@ -124,7 +125,9 @@ class MujocoSimulator(RobotSimulator):
         self.observation = tuple(observation)
         self.action = tuple(action)
         self.model = load_model(model, [p.field for p in parameters])
+        self.simulated = without_visuals(self.model)
         self.bindings = [Binding(p, self.model) for p in parameters]
+        self._changes: tuple[Callable[[mujoco.MjModel], None], ...] = ()
         self._set_effects(effects, fixed)
         self.layout = Layout(self.model, observation)
         self.signals = self.layout.signals
@@ -174,8 +177,10 @@ class MujocoSimulator(RobotSimulator):
         Incompatible
             If an effect needs bodies to be compiled anew, and the model was given compiled.
         """
+        added = (*effects, *(instance for instance, _ in fixed))
+        if any(instance.general for instance in added):
+            self.general  # noqa: B018 - compiled here, once for all that are made of this one
         out = copy.copy(self)
-        out._source = self._source
         out.steps = 0
         out.failures = 0
         out._set_effects((*self.effects, *effects), (*self.fixed, *fixed))
@@ -242,10 +247,10 @@ class MujocoSimulator(RobotSimulator):
             A new one, whose counts of steps and failures begin at 0.
         """
         out = copy.copy(self)
-        out._source = self._source
         out.steps = 0
         out.failures = 0
         out.bindings = []
+        out._start_threads()
         out._set_effects(self.effects, self.fixed)
         return out
 
@@ -262,14 +267,18 @@ class MujocoSimulator(RobotSimulator):
     def _with_model(self, change: Callable[[mujoco.MjModel], None]) -> "MujocoSimulator":
         """The same simulator with other numbers in its model, which `change` writes."""
         out = copy.copy(self)
-        out._source = self._source
         out.model = copy.copy(self.model)
         change(out.model)
-        general = self.general
-        if general is not None:
-            out.general = out.model if general is self.model else copy.copy(general)
-            if out.general is not out.model:
-                change(out.general)
+        out.simulated = out.model
+        if self.simulated is not self.model:
+            out.simulated = copy.copy(self.simulated)
+            change(out.simulated)
+        out._changes = (*self._changes, change)
+        general = out.__dict__.pop("general", None)
+        out.__dict__.pop("whole_general", None)
+        if general is not None and general is not self.simulated:
+            out.general = copy.copy(general)
+            change(out.general)
         out.steps = 0
         out.failures = 0
         out._start_threads()
@@ -296,7 +305,6 @@ class MujocoSimulator(RobotSimulator):
             If there is no such field or element.
         """
         out = copy.copy(self)
-        out._source = self._source
         out.observation = tuple(observation)
         out.layout = Layout(self.model, observation)
         out.steps = 0
@@ -352,18 +360,25 @@ class MujocoSimulator(RobotSimulator):
         MjModel
         """
         general = any(instance.general for instance, _ in active)
-        worker = Worker(self.general if general else self.model, self.bindings)
+        worker = Worker(self.whole_general if general else self.model, self.bindings)
         numbers = [pair for pair in active if pair[0].model is not None]
         worker.set(declared_values(values[: len(self.bindings)], active), numbers)
         return worker.model
 
     def _start_threads(self) -> None:
-        """Makes what one process alone has: threads, their copies of the model, cached arrays."""
+        """Makes what one process alone has: threads, their copies of the model, cached arrays.
+
+        All that are made of this simulator with the same model and parameters share the first two.
+        """
         self._workers: tuple[queue.SimpleQueue[Worker], ...] = (
             queue.SimpleQueue(),
             queue.SimpleQueue(),
         )
         self._pool = ThreadPoolExecutor(self.threads, thread_name_prefix="mujoco")
+        self._start_caches()
+
+    def _start_caches(self) -> None:
+        """Makes the cached arrays, which depend on columns and effects."""
         self._commands: WeakKeyDictionary[Segments, Array] = WeakKeyDictionary()
         self._curvatures: WeakKeyDictionary[Segments, Array] = WeakKeyDictionary()
         self._pasts: WeakKeyDictionary[Segments, RecordedPast] = WeakKeyDictionary()
@@ -372,25 +387,54 @@ class MujocoSimulator(RobotSimulator):
     def general(self) -> mujoco.MjModel | None:
         """The model for effects that need bodies compiled with simple="false".
 
-        None where that takes the source of a model that was given compiled.
+        None where that takes the source of a model that was given compiled. Meshes and textures
+        that are only seen are not in it.
+        """
+        if not self.model.body_simple[1:].any():
+            return self.simulated
+        if isinstance(self._source, mujoco.MjModel):
+            return None
+        return without_visuals(self._compile_general())
+
+    @cached_property
+    def whole_general(self) -> mujoco.MjModel | None:
+        """The same with what is only seen, to be written or shown.
+
+        That of a simulator of another process is without it.
         """
         if not self.model.body_simple[1:].any():
             return self.model
         if isinstance(self._source, mujoco.MjModel):
-            return None
-        return load_model(self.spec(), MOVES_FRAMES)
+            return self.general
+        return self._compile_general()
+
+    def _compile_general(self) -> mujoco.MjModel:
+        """The model of the source, with bodies of simple="false"."""
+        model = load_model(self.spec(), MOVES_FRAMES)
+        for change in self._changes:
+            change(model)
+        return model
 
     def _worker(self, general: bool) -> Worker:
         """A worker that is free, else a new one; there are never more of them than threads."""
         try:
             return self._workers[general].get_nowait()
         except queue.Empty:
-            return Worker(self.general if general else self.model, self.bindings)
+            return Worker(self.general if general else self.simulated, self.bindings)
+
+    def __copy__(self) -> "MujocoSimulator":
+        out = object.__new__(type(self))
+        out.__dict__.update(self.__dict__)
+        out._start_caches()
+        return out
 
     def __getstate__(self) -> dict[str, Any]:
         self.general  # noqa: B018 - compiled while the source is at hand
         of_process = ("_workers", "_pool", "_commands", "_curvatures", "_pasts", "_source")
-        return {name: value for name, value in vars(self).items() if name not in of_process}
+        left_out = (*of_process, "whole_general")
+        state = {name: value for name, value in vars(self).items() if name not in left_out}
+        # What is only seen stays where the model can be written.
+        return {**state, "model": self.simulated}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)

@@ -1,6 +1,5 @@
 """One thread's own copy of a model: parameters and effects written into it, and steps in C."""
 
-import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -15,8 +14,17 @@ from dropo.core.contracts.effect import (
     RecordedPast,
     StepState,
 )
+from dropo.core.services.errors import Incompatible
 from dropo.core.services.validation import Array
+from dropo.mjmodel.copies import ModelCopy
 from dropo.mjmodel.fields import Binding
+from dropo.mjmodel.names import element_name
+from dropo.mjmodel.visuals import lost_shapes
+
+MAX_COPIES = 1 << 27
+"""The bytes of models that a worker may hold for states whose friction differs; no result depends
+on it.
+"""
 
 
 class Worker:
@@ -38,11 +46,13 @@ class Worker:
     """
 
     def __init__(self, model: mujoco.MjModel, bindings: Sequence[Binding]):
-        self.base = model
-        self.model = copy.copy(model)
+        self._copy = ModelCopy(model)
+        self.model = self._copy.model
         self.data = mujoco.MjData(self.model)
         self.bindings = bindings
+        self._lost = lost_shapes(model)
         self._changed = False
+        self._twins: list[ModelCopy] = []
 
     def set(self, value: Array, active: ActiveEffects = ()) -> None:
         """Write parameters and effects into the model.
@@ -58,7 +68,7 @@ class Worker:
             The effects with their magnitudes.
         """
         if self._changed:
-            self.model = copy.copy(self.base)
+            self._copy.restore()
         changes = [(one.model, magnitudes) for one, magnitudes in active if one.model is not None]
         pairs = list(zip(self.bindings, value, strict=True))
         before = [pair for pair in pairs if pair[0].parameter.derived]
@@ -68,8 +78,12 @@ class Worker:
             binding.set(self.model, binding.nominal())
         for binding, number in before:
             binding.set(self.model, number)
+        # noted at once, since what a change raises may leave half of it
+        self._changed = self._changed or bool(changes)
         for change, magnitudes in changes:
             change(self.model, magnitudes)
+        if changes:
+            self._refuse_lost_shapes()
         if before or changes:
             mujoco.mj_setConst(self.model, self.data)
         for binding, number in after:
@@ -140,27 +154,51 @@ class Worker:
         sensors = np.empty((len(states), steps, self.model.nsensordata))
         now = states
         given = np.empty((len(states), 1, inputs.shape[2]))
-        models = [self.model]
         memory: dict[Any, Any] = {}
         adds_friction = any(one.friction is not None for one, _ in reacting)
-        if adds_friction:
-            models = [copy.copy(self.model) for _ in states]
+        models = self._models(len(states)) if adds_friction else [self.model]
         for step in range(steps):
             given[:, 0] = inputs[:, step]
             reaction = react(self.model, now, inputs[:, step, :nu], step, reacting, memory, past)
             given[:, 0, :nu] = reaction.commands
             given[:, 0, nu : nu + nv] += reaction.forces
-            if adds_friction:
-                friction = self.model.dof_frictionloss + reaction.friction
-                for model, row in zip(models, friction, strict=True):
-                    model.dof_frictionloss[:] = row
-            state, sensor = mujoco.rollout.rollout(
-                models, [self.data], now, given, control_spec=spec
-            )
-            trace[:, step] = state[:, 0]
-            sensors[:, step] = sensor[:, 0]
+            friction = self.model.dof_frictionloss + reaction.friction
+            # states that have models of their own are as many at a time as there are models
+            at_once = len(models) if adds_friction else len(states)
+            for first in range(0, len(states), at_once):
+                some = slice(first, min(first + at_once, len(states)))
+                own = models
+                if adds_friction:
+                    own = models[: some.stop - first]
+                    for model, row in zip(own, friction[some], strict=True):
+                        model.dof_frictionloss[:] = row
+                state, sensor = mujoco.rollout.rollout(
+                    own, [self.data], now[some], given[some], control_spec=spec
+                )
+                trace[some, step] = state[:, 0]
+                sensors[some, step] = sensor[:, 0]
             now = trace[:, step]
         return trace, sensors
+
+    def _models(self, count: int) -> list[mujoco.MjModel]:
+        """Up to `count` models like this one, each for a friction of its own."""
+        most = max(1, MAX_COPIES // mujoco.mj_sizeModel(self.model))
+        own = min(count, most)
+        for twin in self._twins[:own]:
+            twin.restore()
+        while len(self._twins) < own:
+            self._twins.append(ModelCopy(self.model))
+        return [twin.model for twin in self._twins[:own]]
+
+    def _refuse_lost_shapes(self) -> None:
+        """Refuses a change by which a mesh collides that was only seen, and is not here."""
+        model = self.model
+        for geom in self._lost.tolist():
+            if model.geom_contype[geom] or model.geom_conaffinity[geom]:
+                raise Incompatible(
+                    f"An effect makes the geom {element_name(model, 'geom', geom)!r} collide, whose"
+                    " mesh is only seen in the model. Give it contype or conaffinity there."
+                )
 
     def _inputs(self, controls: Array, active: ActiveEffects) -> tuple[Array, int]:
         """What MuJoCo is given at every step, (n, steps, nu + nv + 6 nbody), and its specification.

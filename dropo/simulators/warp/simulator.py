@@ -18,6 +18,7 @@ from dropo.core.services.validation import Array, require
 from dropo.mjmodel.fields import OPTION
 from dropo.mjmodel.names import element_of_type
 from dropo.simulators.mujoco.simulator import MAX_STATE, MujocoSimulator
+from dropo.simulators.mujoco.worker import Worker
 
 ROOM = 6
 """How often the room for contacts and constraints is doubled where a world needs more."""
@@ -179,10 +180,15 @@ class WarpSimulator(Simulator):
 
     def _numbers(self, values: Array) -> dict[str, Array]:
         """The fields that differ from the model's, (K, ...) of each parameter vector."""
-        models = [self.cpu.model_of(value) for value in values]
+        worker = Worker(self.cpu.simulated, self.cpu.bindings)
+        rows: dict[str, list[Array]] = {name: [] for name in self._batched}
+        for value in values:
+            worker.set(value)
+            for name, numbers in rows.items():
+                numbers.append(_numbers_of(worker.model, name).copy())
         found = {}
-        for name in self._batched:
-            own = np.stack([_numbers_of(model, name) for model in models])
+        for name, numbers in rows.items():
+            own = np.stack(numbers)
             if (own != _numbers_of(self._model, name)).any():
                 found[name] = own
         return found

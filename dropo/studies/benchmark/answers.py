@@ -214,11 +214,11 @@ def causes_of(found: Diagnosis) -> list[Cause]:
     Returns
     -------
     list of dict
-        Its causes that are effects; a formula, which has no name of its own, is left out.
+        Its stated causes that are effects; a formula, which has no name of its own, is left out.
     """
     causes = []
-    for cause in found.causes:
-        if cause.formula or cause.acts_like:
+    for cause in found.stated:
+        if cause.formula:
             continue
         others = [[other.effect, other.target] for other in cause.confused_with]
         sizes = {name: estimate.value for name, estimate in cause.estimate.items()}

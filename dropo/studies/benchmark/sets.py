@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from dropo.core.contracts.effect import EffectInstance
@@ -18,6 +17,7 @@ from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.atomic_write import write_json
 from dropo.core.services.registry import find
 from dropo.core.services.validation import Array, known, require
+from dropo.mjmodel.options import integrator
 from dropo.problems.file.writer import write_problem
 from dropo.problems.simulated.robots import SimulatedRobot, simulated_robot
 from dropo.studies.engine.work import Work
@@ -222,7 +222,7 @@ def finer(simulator: Any, times: int) -> Any:
     MujocoSimulator
         With Runge-Kutta's, or where the model has that, with MuJoCo's "implicitfast".
     """
-    has_rk4 = simulator.model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4
+    has_rk4 = integrator(simulator.model) == "RK4"
     other = "implicitfast" if has_rk4 else "RK4"
     return simulator.with_integrator(other).with_finer_steps(times)
 

@@ -20,11 +20,13 @@ LACKS = {
     "published": "has no runs of the published method",
     "full": "has no runs of the published method at full size",
     "problems": "is not one of several problems",
+    "first_seed": "has seeds of its own",
     "variants": "has parts of its own",
 }
 """Option -> what a study says that does not take it."""
 NAMES = {
     "full": "--published full",
+    "first_seed": "--first-seed",
     "variants": "--method, --likelihood, --optimizer, --family and --budget",
 }
 """Option -> its name on the command line, where that is another."""
@@ -37,6 +39,7 @@ def recover(
     published: bool | Literal["full"] = False,
     problems: Sequence[str] = (),
     variants: Sequence[Variant] = (),
+    first_seed: int | None = None,
     out: str | Path | None = None,
     executor: Executor | None = None,
     threads: int = 0,
@@ -58,6 +61,8 @@ def recover(
     variants : sequence of Variant
         Methods with parts exchanged, whose rows stand beside the others; `variants_of` makes them
         of names.
+    first_seed : int or None
+        Seed of the first data set, in studies that have one to choose; None for the study's own.
     out : str, Path or None
         Folder to write the study into, where an interrupted study is resumed; None to write
         nothing.
@@ -80,7 +85,7 @@ def recover(
     BadArgument
         If `seeds` is below 1, or `out` is a file.
     Incompatible
-        If the study does not take `published`, `problems` or `variants`.
+        If the study does not take `published`, `problems`, `variants` or `first_seed`.
     BadFile
         If the study's block of the folder's README.md has no end.
     """
@@ -90,6 +95,7 @@ def recover(
         published=published,
         problems=problems,
         variants=variants,
+        first_seed=first_seed,
         out=out,
         executor=executor,
         threads=threads,
@@ -106,6 +112,7 @@ def run_study(
     published: bool | Literal["full"] = False,
     problems: Sequence[str] = (),
     variants: Sequence[Variant] = (),
+    first_seed: int | None = None,
     out: str | Path | None = None,
     executor: Executor | None = None,
     threads: int = 0,
@@ -162,6 +169,8 @@ def run_study(
         options["problems"] = tuple(problems)
     if variants:
         options["variants"] = tuple(variants)
+    if first_seed is not None:
+        options["first_seed"] = first_seed
     for option in sorted(options.keys() - inspect.signature(study).parameters.keys()):
         options_of = NAMES.get(option, f"--{option}")
         raise Incompatible(f"The study {name!r} {LACKS[option]}. Leave {options_of} out.")

@@ -18,7 +18,10 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.registry import find, names
 from dropo.core.services.validation import Array, known, require
+from dropo.diagnosis.parts import are_stated
 from dropo.diagnosis.search.library import LAW
+from dropo.mjmodel.dynamics.forces import force_per_command
+from dropo.mjmodel.joints import actuators
 from dropo.problems.simulated.robots import ROBOTS, SimulatedRobot, masses, simulated_robot
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 from dropo.studies.engine.study import Study, Table
@@ -53,6 +56,7 @@ HEADER = (
     "95 %",
     "in the ambiguity set",
     "another beside it",
+    "a false cause stated",
     "error of the size",
     "share of the gain",
     "simulator steps",
@@ -91,6 +95,7 @@ def hidden_effects(
     work: Work,
     seeds: int | None = None,
     *,
+    first_seed: int = 0,
     machines: Sequence[str] = tuple(ROBOTS),
     cases: Sequence[str] = CASES,
     settings: HiddenEffectSettings = DEFAULT,
@@ -103,6 +108,8 @@ def hidden_effects(
         Runs the tasks.
     seeds : int or None
         Runs of each case on each robot; None for the numbers of `RUNS`.
+    first_seed : int
+        Seed of the first run of each, from 0; the others follow it.
     machines : sequence of str
         Names of robots.
     cases : sequence of str
@@ -118,11 +125,12 @@ def hidden_effects(
     Raises
     ------
     BadArgument
-        If `seeds` is below 1.
+        If `seeds` is below 1, or `first_seed` below 0.
     UnknownName
         If there is no such robot or case.
     """
     require(seeds is None or seeds >= 1, "seeds", "at least 1", seeds, "hidden_effects")
+    require(first_seed >= 0, "first_seed", "at least 0", first_seed, "hidden_effects")
     extra = [] if settings == DEFAULT else [asdict(settings)]
     items = []
     for machine in machines:
@@ -130,12 +138,16 @@ def hidden_effects(
             known("machine", machine, ROBOTS)
             known("case", case, CASES)
             count = RUNS[case][machine not in ARMS] if seeds is None else seeds
-            items += [[machine, case, seed, *extra] for seed in range(count)]
+            drawn = range(first_seed, first_seed + count)
+            items += [[machine, case, seed, *extra] for seed in drawn]
     runs = work.map(run, items)
     groups = [(machine, [r for r in runs if r["machine"] == machine]) for machine in machines]
     if len(machines) > 1:
         groups.append(("all", runs))
     rows = [row for name, own in groups for row in _rows(name, own, settings)]
+    none = "-"
+    of_all = (str(len(runs)), none, none, none, none, _false(runs), none, none, none)
+    rows.append((groups[-1][0], "any of these", *of_all))
     wrong = [_wrong_row(r) for r in runs if not r["right"]]
     tables = (
         Table("What was said", HEADER, tuple(rows)),
@@ -152,6 +164,7 @@ def hidden_effects(
         f"{settings.minimum_margin} nats per transition better on data held out than what was "
         "found. In the others the effects that were left explain these data as well as the "
         "missing one.",
+        f"A false cause stated: of {stated_falsely(runs)}",
         "Share of the gain: the median of what the causes gain, of what the true model would, on "
         "data held out.",
     )
@@ -191,6 +204,7 @@ def _cells(case: str, runs: Sequence[dict[str, Any]]) -> tuple[str, ...]:
     low, high = interval(right, n)
     steps = f"{np.median([r['steps'] for r in runs]):,.0f}"
     among = beside = error = gain = "-"
+    false = _false(runs)
     if case in NAMED:
         among = f"{sum(r['among'] for r in runs)}/{n}"
         beside = f"{sum(r['right'] and r['extra'] for r in runs)}/{n}"
@@ -200,7 +214,42 @@ def _cells(case: str, runs: Sequence[dict[str, Any]]) -> tuple[str, ...]:
         gains = [r["share"] for r in runs if r["share"] is not None]
         if gains:
             gain = f"{np.median(gains):.1%}"
-    return (str(n), f"{right}/{n}", f"{low:.0%}-{high:.0%}", among, beside, error, gain, steps)
+    share = f"{right}/{n}"
+    return (str(n), share, f"{low:.0%}-{high:.0%}", among, beside, false, error, gain, steps)
+
+
+def _false(runs: Sequence[dict[str, Any]]) -> str:
+    """How many of some runs state a false cause."""
+    return f"{sum(map(states_falsely, runs))}/{len(runs)}"
+
+
+def states_falsely(result: dict[str, Any]) -> bool:
+    """Say whether a run, as `run` returns it, states a cause that is none."""
+    return bool(result["extra"]) and are_stated(result["verdict"])
+
+
+def stated_falsely(runs: Sequence[dict[str, Any]]) -> str:
+    """Say in how many runs a stated cause is false.
+
+    Parameters
+    ----------
+    runs : sequence of dict
+        Of the study, as `run` returns them.
+
+    Returns
+    -------
+    str
+        All runs count, those in which nothing is hidden, nothing that the search can name, or too
+        little to be named, among them.
+    """
+    n = len(runs)
+    false = sum(map(states_falsely, runs))
+    low, high = interval(false, n)
+    return (
+        f"all {n} runs, those of effects too weak to count among them, {false} state a cause that "
+        f"is none, or not at its place (95 %: {low:.1%} to {high:.1%}). A cause is stated where "
+        'the verdict is "explained"; of others it is said that what is missing acts like them.'
+    )
 
 
 def interval(right: int, n: int) -> tuple[float, float]:
@@ -298,10 +347,10 @@ def evaluate(case: str, effects: Hidden, found: Diagnosis) -> dict[str, Any]:
     Returns
     -------
     dict
-        said: the causes as a text. first: the first cause's effect. among: whether every hidden
-        effect is named, or in the ambiguity set of a cause. extra: whether another is named.
-        right: whether the case's rule is met. error: relative error of the first magnitude, or
-        None.
+        said: the causes as a text, those that are not stated with a mark. first: the first cause's
+        effect. among: whether every hidden effect is named, or in the ambiguity set of a cause.
+        extra: whether another is named. right: whether the case's rule is met. error: relative
+        error of the first magnitude, or None.
     """
     named = {(cause.effect, cause.target) for cause in found.causes}
     ambiguous = {
@@ -311,7 +360,7 @@ def evaluate(case: str, effects: Hidden, found: Diagnosis) -> dict[str, Any]:
     truth: set[tuple[str, str | None]] = set().union(*wanted)
     texts = []
     for cause in found.causes:
-        mark = "~" if cause.acts_like else ""
+        mark = "" if cause in found.stated else "~"
         texts.append(f"{mark}{cause.effect}:{cause.target or ''}.{cause.variant}")
     error = None
     if case in ("nothing", "white"):
@@ -670,10 +719,11 @@ def unmodelled_cause(
     """
     model = robot.simulator.model
     i = int(rng.integers(model.nu))
-    joint = int(model.actuator_trnid[i, 0])
-    q = int(model.jnt_qposadr[joint])
-    v = int(model.jnt_dofadr[joint])
-    full = abs(float(model.actuator_gainprm[i, 0] * model.actuator_gear[i, 0]))
+    joint = actuators(model)[i].joint
+    assert joint is not None
+    q = joint.qpos
+    v = joint.qvel
+    full = force_per_command(model, i)
     shape = int(rng.integers(3))
 
     def force(state: StepState, magnitudes: Array) -> Array:

@@ -21,6 +21,7 @@ from numpy.random import Generator
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.atomic_write import write_text
 from dropo.core.services.validation import Array
+from dropo.mjmodel.options import physics_step
 from dropo.problems.hopper.data import HopperPolicy, healthy, observe, start_states
 from dropo.problems.hopper.model import FRAME_SKIP, hopper_model
 from dropo.simulators.mujoco.closed_loop import Rollouts, closed_loop
@@ -98,7 +99,7 @@ def returns(model: mujoco.MjModel, runs: Rollouts) -> Array:
         Distance in the units of a control step, less 0.001 of the squared actions.
     """
     ends = runs.states[np.arange(len(runs.lengths)), runs.lengths, 0]
-    speed = (ends - runs.states[:, 0, 0]) / (FRAME_SKIP * model.opt.timestep)
+    speed = (ends - runs.states[:, 0, 0]) / (FRAME_SKIP * physics_step(model))
     gains: Array = speed - 1e-3 * np.nansum(runs.actions**2, axis=(1, 2))
     return gains
 

@@ -13,6 +13,8 @@ import numpy as np
 from dropo.core.records.parameters import Parameter, ParameterSpace
 from dropo.core.services.registry import find
 from dropo.core.services.validation import Array
+from dropo.mjmodel.bodies import body_place
+from dropo.mjmodel.names import element_id
 from dropo.problems.panda.pusher import boxes_of, drive
 from dropo.problems.panda.pushing import (
     DRAWS,
@@ -21,11 +23,11 @@ from dropo.problems.panda.pushing import (
     GOAL,
     TRUTH,
     Pusher,
-    fields_of,
     pushing,
     pushing_simulator,
     target_model,
 )
+from dropo.simulators.mujoco.closed_loop import fields_of
 from dropo.studies.engine.study import Study
 from dropo.studies.engine.work import Work
 from dropo.studies.tiboni_2021.transfer import (
@@ -275,7 +277,7 @@ def ends(
     """
     count = len(numbers)
     starts = np.resize(STARTS * rng.standard_normal((same or count, 3)), (count, 3))
-    place = model.body("box").pos[:2]
+    place = body_place(model, element_id(model, "body", "box"))[:2]
     runs = drive(
         model,
         Pusher(numbers, place),

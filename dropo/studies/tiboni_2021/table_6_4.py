@@ -15,6 +15,8 @@ from dropo.estimators.dropo import DROPO
 from dropo.estimators.least_squares import LeastSquares
 from dropo.families.truncated_gaussian import TruncatedGaussian
 from dropo.likelihoods.monte_carlo import MonteCarlo
+from dropo.mjmodel.bodies import body_masses, write_mass
+from dropo.mjmodel.names import element_id
 from dropo.problems.hopper.model import hopper_model
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 from dropo.studies.engine.study import Study, Table
@@ -126,7 +128,8 @@ def light_torso(item: Item) -> Problem:
     """
     problem, _ = problem_of(item)
     model = hopper_model()
-    model.body("torso").mass[0] -= MISSING
+    torso = element_id(model, "body", "torso")
+    write_mass(model, torso, float(body_masses(model)[torso]) - MISSING)
     whole = problem.simulator
     assert isinstance(whole, MujocoSimulator)
     parameters = [binding.parameter for binding in whole.bindings[1:]]

@@ -7,10 +7,12 @@ import numpy as np
 from scipy.signal import lfilter
 
 from dropo.core.contracts.problem import Problem
-from dropo.core.records.trajectories import Trajectories
+from dropo.core.records.trajectories import Ints, Trajectories
 from dropo.core.services.validation import Array, known
 from dropo.mjmodel.fields import FieldParameter
+from dropo.mjmodel.options import physics_step
 from dropo.problems.file.estimated_velocities import with_velocities
+from dropo.simulators.mujoco.closed_loop import closed_loop
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 ARM = """<mujoco><option timestep="0.002"/><worldbody><body name="link">
@@ -162,25 +164,25 @@ def simulate_log(name: str, noise: str, seed: int) -> Log:
 def _motion(machine: Machine, name: str, rng: np.random.Generator) -> tuple[Array, Array]:
     """True states (runs, rows + 1, 2) and actions (runs, rows, 1)."""
     model = mujoco.MjModel.from_xml_string(machine.xml)
-    states = np.empty((machine.runs, machine.rows + 1, 2))
+    starts = np.zeros((machine.runs, 2))
     actions = np.empty((machine.runs, machine.rows, 1))
     for run in range(machine.runs):
-        data = mujoco.MjData(model)
         if name == "arm":
-            data.qpos[0] = rng.uniform(-0.5, 0.5)
+            starts[run, 0] = rng.uniform(-0.5, 0.5)
             held = rng.normal(0, 2, -(-machine.rows // 5))
             actions[run, :, 0] = np.repeat(held, 5)[: machine.rows]
         else:
-            time = np.arange(machine.rows) * model.opt.timestep * machine.frame_skip
+            time = np.arange(machine.rows) * physics_step(model) * machine.frame_skip
             first, second = rng.uniform(0, 2 * np.pi, 2)
             slow = 5 * np.sin(2 * np.pi * 1.5 * time + first)
             actions[run, :, 0] = slow + 3 * np.sin(2 * np.pi * 3.7 * time + second)
-        for k in range(machine.rows):
-            states[run, k] = data.qpos[0], data.qvel[0]
-            data.ctrl[0] = actions[run, k, 0]
-            mujoco.mj_step(model, data, machine.frame_skip)
-        states[run, -1] = data.qpos[0], data.qvel[0]
-    return states, actions
+
+    def commands(states: Array, ids: Ints, step: int) -> Array:
+        return actions[ids, step]
+
+    skip = machine.frame_skip
+    runs = closed_loop(model, commands, starts, machine.rows, frame_skip=skip)
+    return runs.states, actions
 
 
 def _errors(machine: Machine, noise: str, states: Array, rng: np.random.Generator) -> Array:

@@ -9,8 +9,8 @@ import pytest
 from dropo.logs.guessing.servos import estimate_drives
 from dropo.logs.mapping import read_mapping
 from dropo.logs.recordings import LogRun, read_runs
+from dropo.mjmodel.files.robots import DriveGuess
 from dropo.mjmodel.joints import ModelJoints, load_model_joints
-from dropo.mjmodel.robots import DriveGuess
 
 DAMPING = 0.4
 ARM = f"""

@@ -173,10 +173,19 @@ def torque_scale(model: mujoco.MjModel, joint: Joint) -> float:
     sizes = [10.0 * float(model.dof_M0[joint.qvel])]
     for actuator in actuators(model):
         if actuator.joint is not None and actuator.joint.id == joint.id:
-            gear = float(model.actuator_gear[actuator.id, 0])
-            gain = abs(float(model.actuator_gainprm[actuator.id, 0]) * gear)
-            sizes.append(gain * actuator.largest_command)
+            sizes.append(force_per_command(model, actuator.id) * actuator.largest_command)
     return max(sizes)
+
+
+def force_per_command(model: mujoco.MjModel, actuator: int) -> float:
+    """Return the size of the force of the `actuator` of that number for a command of 1 [N, N m]."""
+    gear = float(model.actuator_gear[actuator, 0])
+    return abs(float(model.actuator_gainprm[actuator, 0]) * gear)
+
+
+def add_contact_forces(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Compute the forces between bodies in the state of `data`, which MuJoCo's steps leave out."""
+    mujoco.mj_rnePostConstraint(model, data)
 
 
 def inverse_forces(

@@ -13,7 +13,7 @@ import numpy as np
 
 from dropo.core.services.errors import BadFile, MissingPackage, UnknownName
 from dropo.core.services.validation import nearest
-from dropo.mjmodel.loading import specification
+from dropo.mjmodel.files.loading import specification
 
 DESCRIPTIONS = "robot_descriptions"
 """The package that names descriptions of robots."""

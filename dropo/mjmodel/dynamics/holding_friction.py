@@ -43,3 +43,8 @@ def holds(model: mujoco.MjModel) -> bool:
     """
     impedances = np.concatenate([model.dof_solimp[:, :2], model.tendon_solimp_fri[:, :2]])
     return bool(np.all(impedances >= IMPEDANCE))
+
+
+def impedance(model: mujoco.MjModel) -> float:
+    """Return the first impedance (`solimpfriction`) of the dry friction of a `model`'s joints."""
+    return float(model.dof_solimp[0, 0])

@@ -116,7 +116,7 @@ def read_motors(path: Path | None = None) -> dict[str, Motor]:
     BadArgument
         If a number is out of its range.
     """
-    library = files("dropo.mjmodel") / "motors.json"
+    library = files("dropo.mjmodel.files") / "motors.json"
     source: Any = library if path is None else path
     try:
         content = json.loads(source.read_text())

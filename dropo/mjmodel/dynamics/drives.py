@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import mujoco
 
-from dropo.mjmodel.joints import joints
+from dropo.mjmodel.joints import Joint, actuators, joints
 from dropo.mjmodel.names import driven_joints
 
 
@@ -72,6 +72,41 @@ def servo_of(model: mujoco.MjModel, actuator: int) -> Servo | None:
     if kp == 0 or model.actuator_biasprm[actuator, 1] != -kp:
         return None
     return Servo(kp, -float(model.actuator_biasprm[actuator, 2]))
+
+
+def command_kind(model: mujoco.MjModel, actuator: int) -> str:
+    """Tell what the `actuator` of that number takes: "position", "velocity" or "torque"."""
+    if servo_of(model, actuator) is not None:
+        return "position"
+    bias = model.actuator_biasprm[actuator]
+    return "velocity" if bias[1] == 0 != bias[2] else "torque"
+
+
+def feedback_at(model: mujoco.MjModel, joint: Joint) -> tuple[float, float]:
+    """Add up what the servos at a joint feed back.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+    joint : Joint
+        A slide or hinge.
+
+    Returns
+    -------
+    stiffness, damping : float
+        Behind the gears [N/m, N s/m or N m/rad, N m s/rad].
+    """
+    stiffness = 0.0
+    damping = 0.0
+    for actuator in actuators(model):
+        if actuator.joint is None or actuator.joint.id != joint.id:
+            continue
+        gear = float(model.actuator_gear[actuator.id, 0])
+        bias = model.actuator_biasprm[actuator.id]
+        stiffness += abs(float(bias[1])) * gear**2
+        damping += abs(float(bias[2])) * gear**2
+    return stiffness, damping
 
 
 def drives_of(model: mujoco.MjModel) -> list[Drive]:

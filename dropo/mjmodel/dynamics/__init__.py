@@ -1,0 +1,1 @@
+"""Forces: of actuators, friction and contacts, and those that a motion needs."""
