@@ -45,6 +45,7 @@ from dropo.estimators.support.first_mean.global_search import (
 )
 from dropo.estimators.support.first_mean.search import search_from
 from dropo.estimators.support.rough_starts import (
+    FEW_SEGMENTS,
     ROUGH_TAILS,
     SMOOTHED,
     of_the_physics_step,
@@ -55,10 +56,9 @@ from dropo.estimators.support.summary import summarize
 from dropo.estimators.support.trust_region import MakeOptimizer, OuterIterations
 from dropo.estimators.support.whole_runs import (
     NOISY,
-    NOT_MEASURED,
     bound_to_segments,
-    lacks_states,
     may_follow_runs,
+    reason_to_follow,
     starts_are_noisy,
 )
 from dropo.evaluation.emulator_check import check_emulator, parameters_without_spread
@@ -264,27 +264,32 @@ class DROPO(Estimator):
         family = within_prior(find("families", self.family)(problem.space), prior)
         likelihood = self._make_likelihood()
         mean = self._first_mean(problem, run, start_rng)
-        unmeasured = self._may_follow_runs(problem) and lacks_states(problem)
 
-        # In a wide box, or where a motion may repeat, begin near the best of several optima.
+        # Whole runs, where they are asked for, or where part of the state was not measured.
+        if isinstance(likelihood, RunLikelihood):
+            mean = np.clip(mean, prior.within.low, prior.within.high)
+            return self._fit_runs(problem, run, family, likelihood, noise, mean, reason="")
+        reason = reason_to_follow(problem) if self._may_follow_runs(problem) else ""
+        if reason:
+            first = mean
+            if problem.whole_runs:  # its segments show roughly where to begin
+                first = best_start(problem, run, mean, FEW_SEGMENTS).value
+            first = np.clip(first, prior.within.low, prior.within.high)
+            fit, problem = self._try_runs(problem, run, family, noise, first, reason)
+            if fit is not None:
+                return fit
+
+        # Else segments. In a wide box, or where a motion may repeat, begin near the best of several
+        # optima.
         elsewhere: GlobalStart | None = None
         is_local = isinstance(likelihood, LocalLikelihood)
+        misleading = bool(reason) and problem.horizon == 1  # single steps from estimated states
         several = is_wide(problem.space) or may_have_several(problem)
-        if is_local and several and not unmeasured:
+        if is_local and several and not misleading:
             elsewhere = best_start(problem, run, mean, search_settings(problem)[1])
             mean = elsewhere.value
             problem = replace(problem, warnings=(*problem.warnings, *elsewhere.warnings))
         mean = np.clip(mean, prior.within.low, prior.within.high)
-
-        # Whole runs, where they are asked for, or where part of the state was not measured.
-        if isinstance(likelihood, RunLikelihood):
-            return self._fit_runs(problem, run, family, likelihood, noise, mean, reason="")
-        if unmeasured:
-            fit, problem = self._try_runs(problem, run, family, noise, mean, NOT_MEASURED)
-            if fit is not None:
-                return fit
-
-        # Else segments.
         if isinstance(likelihood, LocalLikelihood):
             return self._fit_locally(
                 problem, run, family, likelihood, noise, mean, likelihood_rng, elsewhere
@@ -357,7 +362,8 @@ class DROPO(Estimator):
             found = replace(found, reason=f"{found.reason} {SMOOTHED}")
 
         # Where its residuals say that starts are noisy, go on with starts that are found.
-        if self._may_follow_runs(problem) and found.status is not Status.INTERRUPTED:
+        interrupted = found.status is Status.INTERRUPTED
+        if problem.horizon == 1 and self._may_follow_runs(problem) and not interrupted:
             found_mean = family.mean(found.point[: len(family.unknowns)])
             if starts_are_noisy(problem, run, found_mean, objective.mean(found.point)):
                 fit, problem = self._try_runs(problem, run, family, noise, found_mean, NOISY)

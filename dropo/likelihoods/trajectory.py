@@ -544,6 +544,7 @@ class _Search:
             reset="start",
             set_columns=None,
             every_step=False,
+            whole_runs=False,
             epsilon=None,
             start_noise=False,
             held_out=None,

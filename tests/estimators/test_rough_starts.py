@@ -16,6 +16,7 @@ from dropo.estimators.support.rough_starts import (
     of_the_physics_step,
     starts_are_rough,
 )
+from dropo.estimators.support.whole_runs import may_follow_runs
 from dropo.mjmodel.fields import FieldParameter
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
@@ -76,6 +77,27 @@ def test_which_starts_are_rough() -> None:
     high = problem.trajectories
     lifted = replace(high, observations=high.observations + np.array([0, 5, 0, 0]))
     assert not starts_are_rough(replace(problem, trajectories=lifted))
+
+
+def test_whole_runs_that_are_asked_for_need_free_motion() -> None:
+    """A contact at any row, not only where segments start, leaves segments; none lets runs be
+    followed, in the windows that the problem names.
+    """
+    problem = replace(sled(), whole_runs=True)
+    assert not may_follow_runs(problem)
+    up = np.array([0, 5, 0, 0])
+    data = problem.trajectories
+    lifted = replace(
+        data, observations=data.observations + up, next_observations=data.next_observations + up
+    )
+    assert may_follow_runs(replace(problem, trajectories=lifted))
+    row = lifted.observations.copy()
+    row[30, 1] = -0.001
+    after = lifted.next_observations.copy()
+    after[29] = row[30]
+    once = replace(lifted, observations=row, next_observations=after)
+    assert 30 % problem.horizon
+    assert not may_follow_runs(replace(problem, trajectories=once))
 
 
 def test_a_fit_through_contacts() -> None:
