@@ -44,11 +44,11 @@ from dropo.estimators.support.first_mean.global_search import (
     may_have_several,
 )
 from dropo.estimators.support.first_mean.search import search_from
+from dropo.estimators.support.physics_step import checked_by_shorter_steps
 from dropo.estimators.support.rough_starts import (
     FEW_SEGMENTS,
     ROUGH_TAILS,
     SMOOTHED,
-    of_the_physics_step,
     search_settings,
     starts_are_rough,
 )
@@ -402,7 +402,8 @@ class DROPO(Estimator):
                 run, objective, found, rng, prior
             )
 
-        # Compare the local model with the simulator at the fit.
+        # Compare the local model with the simulator at the fit, then with one of shorter steps.
+        spent = run.steps
         check, emulator_warnings = check_emulator(
             problem,
             run,
@@ -424,10 +425,7 @@ class DROPO(Estimator):
             start_filter=start_filter,
             constant_parameters=constant,
         )
-        if fit.status is Status.INTERRUPTED or not starts_are_rough(problem):
-            return fit
-        of_step = of_the_physics_step(problem, run, fit, objective, found.point)
-        return replace(fit, warnings=(*fit.warnings, *of_step))
+        return checked_by_shorter_steps(problem, run, fit, objective, found.point, spent=spent)
 
     def _local_optimizer(self, name: str, rng: np.random.Generator) -> MakeOptimizer:
         """What makes the optimizer of that name inside each outer iteration."""
@@ -543,12 +541,12 @@ class DROPO(Estimator):
         if not run_fit.reached:
             unknown = np.full(len(fit.mean), np.nan)
             fit = replace(fit, mean_se=unknown, scale_se=unknown)
+        fit = replace(fit, model_check=check, warnings=(*fit.warnings, *run_fit.doubts))
+        fit = checked_by_shorter_steps(run_fit.problem, run, fit, run_fit.objective, found.point)
 
         # Noise and held-out errors are those of the problem that was given.
         return replace(
             fit,
-            model_check=check,
-            warnings=(*fit.warnings, *run_fit.doubts),
             epsilon=run_fit.epsilon,
             held_out=held_out_errors(problem, run, fit.mean),
         )

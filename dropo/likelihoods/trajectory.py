@@ -479,7 +479,7 @@ class _Search:
             whitened = whiten(look.columns, law)[~look.columns.first, :, -1]
         group = _groups(state.windows)
         centre = state.value if state.own is None else state.own
-        own = RunRows(family, look.condensed, look.columns, group, centre, law.variance, whitened)
+        own = RunRows(family, look.condensed, look.columns, group, centre, law, whitened)
         if law.memory.any():
             slopes, less = profiled(look.columns, whiten(look.columns, law), look.condensed)
             own.unexplained = (-less * law.sd, slopes * law.sd[:, None])

@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from dropo import init, load
 from dropo.core.contracts.problem import Problem
@@ -47,6 +48,25 @@ def test_an_imported_log_is_fitted_along_whole_runs(tmp_path: Path) -> None:
     assert (fit.sd < fit.mean_se).all()
     assert fit.trusted
     assert fit.warnings == ()
+
+
+def test_what_the_physics_step_made_is_said(tmp_path: Path) -> None:
+    """A machine in physics steps four times finer than the model's: friction ends more than 3
+    standard errors off, which nothing but the physics step betrays. The fit names it, by the size
+    of the move at half the step within a half, and is not trusted.
+    """
+    problem = imported(tmp_path, replace(MACHINE, rows=700))
+    fit = DROPO().fit(problem, rng=0)
+    off = np.abs(fit.mean - TRUTH) > 3 * fit.mean_se
+    assert off[2:].all()
+    assert fit.trusted is False
+    (sentence,) = fit.warnings
+    assert 'timestep="0.001"' in sentence
+    for name, error in zip(fit.names, fit.mean - TRUTH, strict=True):
+        if name.endswith("friction"):
+            moved = float(sentence.split(f"{name} by ")[1].split()[0])
+            # Of an error by 3 quarters of a step, half a step takes 2 thirds.
+            assert moved == pytest.approx(-error * 2 / 3, rel=0.5)
 
 
 def test_segments_are_asked_for_by_their_length(tmp_path: Path) -> None:

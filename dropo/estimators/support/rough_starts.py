@@ -5,18 +5,10 @@ breaks contacts: what it leads to is no linear function of it. Such errors are n
 the motion. They are part of what learned noise and standard errors of dependent rows hold.
 """
 
-import numpy as np
-
-from dropo.core.contracts.estimator import Run
-from dropo.core.contracts.likelihood import LocalLogLikelihood
 from dropo.core.contracts.problem import Problem
-from dropo.core.records.fit import Fit
-from dropo.core.services.validation import Array
 from dropo.estimators.support.first_mean.global_search import SETTINGS as EVERYWHERE
 from dropo.estimators.support.first_mean.global_search import GlobalSearchSettings
-from dropo.estimators.support.standard_errors import local_jacobian
 from dropo.estimators.support.trust_region import TrustRegionSettings
-from dropo.mjmodel.robot_simulator import RobotSimulator
 
 SMOOTHED = (
     "Estimated states touch something: errors of starts are part of the noise, not carried through"
@@ -73,62 +65,3 @@ def search_settings(problem: Problem) -> tuple[TrustRegionSettings, GlobalSearch
     if starts_are_rough(problem):
         return ROUGH, FEW_SEGMENTS
     return SMOOTH, EVERYWHERE
-
-
-def of_the_physics_step(
-    problem: Problem, run: Run, fit: Fit, objective: LocalLogLikelihood, point: Array
-) -> tuple[str, ...]:
-    """Say which estimates are those of the model's physics step.
-
-    Parameters
-    ----------
-    problem : Problem
-        Whose robot is simulated once more, with steps of half the length.
-    run : Run
-        Counts the simulations.
-    fit : Fit
-    objective : LocalLogLikelihood
-        Of which the fit is the maximum; by its slopes and weights the estimates would move.
-    point : (m,) array
-        Its unknowns at the fit.
-
-    Returns
-    -------
-    tuple of str
-        A sentence where one would move by more than its standard error.
-    """
-    simulator = problem.simulator
-    if not isinstance(simulator, RobotSimulator):
-        return ()
-    finer = simulator.with_finer_steps(2)
-    segments = problem.segments
-    with run.counting(evaluations=1):
-        own = simulator.predict(fit.mean[None], segments)[0]
-        other = finer.predict(fit.mean[None], segments)[0]
-    simulator.steps += finer.steps
-    slopes = np.asarray(local_jacobian(objective, fit.mean, problem)[:])
-    moments = getattr(objective, "moments", None)
-    spread = np.diag(np.maximum(fit.epsilon, 1e-300))
-    covariance = spread[None] if moments is None else moments(point)[1]
-    whiten = np.linalg.inv(np.linalg.cholesky(covariance))
-    there = np.isfinite(other) & np.isfinite(own)
-    residual = np.where(there, simulator.targets(segments) - own, 0.0)
-    change = np.where(there, other - own, 0.0)
-    z = (whiten @ residual[:, :, None])[:, :, 0]
-    weight = 1 / (ROUGH_TAILS + np.sum(z**2, axis=1))
-    along = whiten @ slopes
-    gram = np.einsum("rpi,r,rpj->ij", along, weight, along)
-    moment = np.einsum("rpi,r,rpq,rq->i", along, weight, whiten, change, optimize=True)
-    moved = -np.linalg.pinv(gram, hermitian=True) @ moment
-    far = np.flatnonzero(np.abs(moved) > fit.mean_se)
-    if not len(far):
-        return ()
-    step = 500 * float(simulator.model.opt.timestep)
-    sizes = ", ".join(
-        f"{problem.space.names[i]} by {moved[i]:+.2g} ({abs(moved[i]) / fit.mean_se[i]:.1f} se)"
-        for i in far.tolist()
-    )
-    return (
-        f"physics steps of half the length ({step:.3g} ms) would move {sizes}: intervals hold for"
-        " the model at its own step",
-    )

@@ -98,6 +98,11 @@ class WarpSimulator(Simulator):
             return self, columns
         return WarpSimulator(whole, device=self.device, worlds=self.worlds), columns
 
+    def with_finer_steps(self, times: int) -> "WarpSimulator":
+        """The same with so many physics steps in the place of one."""
+        finer = self.cpu.with_finer_steps(times)
+        return WarpSimulator(finer, device=self.device, worlds=self.worlds)
+
     def _predict(self, values: Array, segments: Segments, offsets: Array | None) -> Array:
         out = np.empty((len(values), len(segments.rows[0]), len(self.signals)))
         fields = self._numbers(values)
