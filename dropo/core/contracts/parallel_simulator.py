@@ -75,7 +75,7 @@ class ParallelSimulator(Simulator):
         return ParallelSimulator(whole, self.executor, self.parts), columns
 
     def with_finer_steps(self, times: int) -> Simulator | None:
-        """The simulator itself with finer physics steps, on the executor."""
+        """The simulator itself with so many physics steps in the place of one, on the executor."""
         finer = self.simulator.with_finer_steps(times)
         return None if finer is None else ParallelSimulator(finer, self.executor, self.parts)
 

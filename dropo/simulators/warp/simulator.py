@@ -99,7 +99,18 @@ class WarpSimulator(Simulator):
         return WarpSimulator(whole, device=self.device, worlds=self.worlds), columns
 
     def with_finer_steps(self, times: int) -> "WarpSimulator":
-        """The same with so many physics steps in the place of one."""
+        """Make the same simulator with shorter physics steps.
+
+        Parameters
+        ----------
+        times : int
+            Steps in the place of one.
+
+        Returns
+        -------
+        WarpSimulator
+            A new one, whose counts of steps and failures begin at 0.
+        """
         finer = self.cpu.with_finer_steps(times)
         return WarpSimulator(finer, device=self.device, worlds=self.worlds)
 
