@@ -43,12 +43,12 @@ from dropo.estimators.support.first_mean.global_search import (
     may_have_several,
 )
 from dropo.estimators.support.first_mean.search import search_from
+from dropo.estimators.support.physics_step import checked_by_shorter_steps
 from dropo.estimators.support.point_estimate import estimate
 from dropo.estimators.support.rough_starts import (
     SEARCH,
     SMOOTHED,
     SearchSettings,
-    of_the_physics_step,
     search_settings,
     starts_are_rough,
 )
@@ -56,10 +56,9 @@ from dropo.estimators.support.summary import summarize
 from dropo.estimators.support.trust_region import MakeOptimizer, OuterIterations
 from dropo.estimators.support.whole_runs import (
     NOISY,
-    NOT_MEASURED,
     bound_to_segments,
-    lacks_states,
     may_follow_runs,
+    reason_to_follow,
     starts_are_noisy,
 )
 from dropo.evaluation.emulator_check import check_emulator, parameters_without_spread
@@ -282,27 +281,32 @@ class DROPO(Estimator):
         family = within_prior(find("families", self.family)(problem.space), prior)
         likelihood = self._make_likelihood()
         mean = self._first_mean(problem, run, start_rng)
-        unmeasured = self._may_follow_runs(problem) and lacks_states(problem)
 
-        # In a wide box, or where a motion may repeat, begin near the best of several optima.
+        # Whole runs, where they are asked for, or where part of the state was not measured.
+        if isinstance(likelihood, RunLikelihood):
+            mean = np.clip(mean, prior.within.low, prior.within.high)
+            return self._fit_runs(problem, run, family, likelihood, noise, mean, reason="")
+        reason = reason_to_follow(problem) if self._may_follow_runs(problem) else ""
+        if reason:
+            first = mean
+            if problem.whole_runs:  # its segments show roughly where to begin
+                first = best_start(problem, run, mean, self.search.rough.points).value
+            first = np.clip(first, prior.within.low, prior.within.high)
+            fit, problem = self._try_runs(problem, run, family, noise, first, reason)
+            if fit is not None:
+                return fit
+
+        # Else segments. In a wide box, or where a motion may repeat, begin near the best of several
+        # optima.
         elsewhere: GlobalStart | None = None
         is_local = isinstance(likelihood, LocalLikelihood)
+        misleading = bool(reason) and problem.horizon == 1  # single steps from estimated states
         several = is_wide(problem.space) or may_have_several(problem)
-        if is_local and several and not unmeasured:
+        if is_local and several and not misleading:
             elsewhere = best_start(problem, run, mean, search_settings(problem, self.search)[1])
             mean = elsewhere.value
             problem = replace(problem, warnings=(*problem.warnings, *elsewhere.warnings))
         mean = np.clip(mean, prior.within.low, prior.within.high)
-
-        # Whole runs, where they are asked for, or where part of the state was not measured.
-        if isinstance(likelihood, RunLikelihood):
-            return self._fit_runs(problem, run, family, likelihood, noise, mean, reason="")
-        if unmeasured:
-            fit, problem = self._try_runs(problem, run, family, noise, mean, NOT_MEASURED)
-            if fit is not None:
-                return fit
-
-        # Else segments.
         if isinstance(likelihood, LocalLikelihood):
             return self._fit_locally(
                 problem, run, family, likelihood, noise, mean, likelihood_rng, elsewhere
@@ -377,7 +381,8 @@ class DROPO(Estimator):
             found = replace(found, reason=f"{found.reason} {SMOOTHED}")
 
         # Where its residuals say that starts are noisy, go on with starts that are found.
-        if self._may_follow_runs(problem) and found.status is not Status.INTERRUPTED:
+        interrupted = found.status is Status.INTERRUPTED
+        if problem.horizon == 1 and self._may_follow_runs(problem) and not interrupted:
             found_mean = family.mean(found.point[: len(family.unknowns)])
             if starts_are_noisy(problem, run, found_mean, objective.mean(found.point)):
                 fit, problem = self._try_runs(problem, run, family, noise, found_mean, NOISY)
@@ -432,7 +437,8 @@ class DROPO(Estimator):
                 run, objective, found, rng, prior
             )
 
-        # Compare the local model with the simulator at the fit.
+        # Compare the local model with the simulator at the fit, then with one of shorter steps.
+        spent = run.steps
         check, emulator_warnings = check_emulator(
             problem,
             run,
@@ -454,10 +460,7 @@ class DROPO(Estimator):
             start_filter=start_filter,
             constant_parameters=constant,
         )
-        if fit.status is Status.INTERRUPTED or not starts_are_rough(problem):
-            return fit
-        of_step = of_the_physics_step(problem, run, fit, objective, found.point, self.search.rough)
-        return replace(fit, warnings=(*fit.warnings, *of_step))
+        return checked_by_shorter_steps(problem, run, fit, objective, found.point, spent=spent)
 
     def _local_optimizer(self, name: str, rng: np.random.Generator) -> MakeOptimizer:
         """What makes the optimizer of that name inside each outer iteration."""
@@ -575,12 +578,12 @@ class DROPO(Estimator):
         if not run_fit.reached:
             unknown = np.full(len(fit.mean), np.nan)
             fit = replace(fit, mean_se=unknown, scale_se=unknown)
+        fit = replace(fit, model_check=check, warnings=(*fit.warnings, *run_fit.warnings))
+        fit = checked_by_shorter_steps(run_fit.problem, run, fit, run_fit.objective, found.point)
 
         # Noise and held-out errors are those of the problem that was given.
         return replace(
             fit,
-            model_check=check,
-            warnings=(*fit.warnings, *run_fit.warnings),
             epsilon=run_fit.epsilon,
             held_out=held_out_errors(problem, run, fit.mean),
         )

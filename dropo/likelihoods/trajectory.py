@@ -658,7 +658,7 @@ class _Search:
             linearized.columns,
             group,
             centre,
-            noise.variance,
+            noise,
             whitened,
         )
         if noise.memory.any():
@@ -778,6 +778,7 @@ class _Search:
             reset="start",
             set_columns=None,
             every_step=False,
+            whole_runs=False,
             epsilon=None,
             start_noise=False,
             held_out=None,

@@ -139,6 +139,7 @@ def _problem_text(
         "observation": found.observation,
         "action": found.action,
         "lambda": segment_steps(found.control_step, found.trajectories),
+        "whole_runs": True,
         "start_noise": True,
     }
     estimated = _estimated(found)

@@ -161,7 +161,9 @@ def _with_comments(text: str, control_step: float) -> str:
     for line in text.splitlines():
         if line.startswith("lambda:"):
             seconds = int(line.split(":")[1]) * control_step
-            line = f"{line}  # control steps in a segment: {seconds:.3g} s"
+            line = f"{line}  # control steps in a segment or window: {seconds:.3g} s"
+        elif line.startswith("whole_runs:"):
+            line = f"{line}  # a fit finds start states along whole runs; in contact, segments"
         elif line.startswith("start_noise:"):
             line = f"{line}  # segments start from rows as noisy as the rest"
         elif line.startswith("held_out:"):

@@ -41,6 +41,7 @@ def problem_record(problem: Problem) -> dict[str, Any]:
         "reset": problem.reset,
         "set_columns": plain(problem.set_columns),
         "every_step": problem.every_step,
+        "whole_runs": problem.whole_runs,
         "epsilon": plain(problem.epsilon),
         "priors": {name: describe(prior) for name, prior in problem.priors.items()},
         "start_noise": problem.start_noise,

@@ -1,13 +1,11 @@
 """Machines that touch something, with estimated velocities: fits end, and say what they are."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import mujoco
 import numpy as np
 import pytest
 
-from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.fit import Status
 from dropo.core.records.trajectories import Trajectories
@@ -16,10 +14,10 @@ from dropo.estimators.random_effects import RandomEffects
 from dropo.estimators.support.rough_starts import (
     SMOOTHED,
     SearchSettings,
-    of_the_physics_step,
     starts_are_rough,
 )
 from dropo.estimators.support.trust_region import TrustRegionSettings
+from dropo.estimators.support.whole_runs import may_follow_runs
 from dropo.mjmodel.fields import FieldParameter
 from dropo.problems.simulated.slide import slide
 from dropo.simulators.mujoco.simulator import MujocoSimulator
@@ -83,6 +81,27 @@ def test_which_starts_are_rough() -> None:
     assert not starts_are_rough(replace(problem, trajectories=lifted))
 
 
+def test_whole_runs_that_are_asked_for_need_free_motion() -> None:
+    """A contact at any row, not only where segments start, leaves segments; none lets runs be
+    followed, in the windows that the problem names.
+    """
+    problem = replace(sled(), whole_runs=True)
+    assert not may_follow_runs(problem)
+    up = np.array([0, 5, 0, 0])
+    data = problem.trajectories
+    lifted = replace(
+        data, observations=data.observations + up, next_observations=data.next_observations + up
+    )
+    assert may_follow_runs(replace(problem, trajectories=lifted))
+    row = lifted.observations.copy()
+    row[30, 1] = -0.001
+    after = lifted.next_observations.copy()
+    after[29] = row[30]
+    once = replace(lifted, observations=row, next_observations=after)
+    assert 30 % problem.horizon
+    assert not may_follow_runs(replace(problem, trajectories=once))
+
+
 def test_a_fit_through_contacts() -> None:
     """Friction and mass within 4.5 standard errors, which are below 5 % and nowhere near hiding
     the model as it came; errors of starts are not carried through contacts, and that is said.
@@ -94,46 +113,6 @@ def test_a_fit_through_contacts() -> None:
     assert (np.abs(fit.mean - TRUTH) < 4.5 * fit.mean_se).all(), (fit.mean, fit.mean_se)
     assert (np.abs(np.array([0.5, 1.0]) - TRUTH) > 4.5 * fit.mean_se).all()
     assert fit.simulator_steps < 2_000_000
-
-
-SERVO = """<mujoco><option timestep="{step}" integrator="implicitfast"/><worldbody>
-  <body><joint name="rail" type="slide" axis="1 0 0" damping="5"/>
-    <geom size="0.1" mass="1"/></body></worldbody>
-  <actuator><position joint="rail" kp="300"/></actuator></mujoco>"""
-
-
-@pytest.mark.parametrize("step", [0.01, 0.0001])
-def test_what_the_physics_step_makes(step: float) -> None:
-    """Long steps are said to move the damping, to where steps of half the length agree best with
-    them (one in 801 values, within 20 %). Short steps move nothing.
-    """
-    damping = FieldParameter("damping", 0.0, 20.0, "N s/m", field="dof_damping", element="rail")
-    spec = mujoco.MjSpec.from_string(SERVO.format(step=step))
-    simulator = MujocoSimulator(spec, [damping], frame_skip=round(0.02 / step), threads=1)
-    rng = np.random.default_rng(0)
-    rows = rng.normal(0, 1, (40, 2)) * [0.002, 0.3]
-    log = Trajectories(rows, np.zeros((40, 1)), rows, np.ones(40, dtype=bool))
-    problem = Problem("servo", simulator, log)
-    value = np.array([5.0])
-    own = simulator.predict(value[None], problem.segments)[0]
-    after = replace(log, next_observations=own)
-    problem = replace(problem, trajectories=after)
-    fit = SimpleNamespace(mean=value, mean_se=np.array([1e-2]), epsilon=np.array([1e-6, 1e-4]))
-    local = SimpleNamespace(
-        predict_rows=lambda values, rows: simulator.predict(values, problem.segments)[:, rows],
-        moments=lambda point: None,
-    )
-    found = of_the_physics_step(problem, Run(problem, rng), fit, local, value)
-    if step < 0.001:
-        assert found == ()
-        return
-    assert "would move damping by " in found[0]
-    moved = float(found[0].split(" by ")[1].split()[0])
-    finer = simulator.with_finer_steps(2)
-    values = value + np.linspace(4, -4, 801)[:, None] * abs(moved)
-    apart = (finer.predict(values, problem.segments) - own) ** 2 / fit.epsilon
-    best = values[apart.sum(axis=(1, 2)).argmin(), 0]
-    assert abs(best - value[0] - moved) < 0.2 * abs(moved)
 
 
 def test_asked_for_they_are_carried() -> None:

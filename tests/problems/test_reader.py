@@ -196,6 +196,13 @@ ADDED = {
         "start_noise: expected true, where the measured start states carry the noise too, or "
         "false, got 1."
     ),
+    "whole_runs: 1": (
+        "whole_runs: expected true, where start states are to be found along whole runs, or "
+        "false, got 1."
+    ),
+    "reset: start\nwhole_runs: true": (
+        "whole_runs: expected false with a `reset` other than `transition`, got true."
+    ),
     "student_t: 2": "student_t: expected degrees of freedom, a number above 2, got 2.",
     "student_t: .inf": "student_t: expected degrees of freedom, a number above 2, got inf.",
     "epsilon: -1": "epsilon: expected a variance, 0 or more, got -1.",

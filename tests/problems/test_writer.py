@@ -62,6 +62,13 @@ def test_everything_comes_back(arm, tmp_path):
     np.testing.assert_allclose(predicted(back), predicted(arm), rtol=DIGITS, atol=DIGITS)
 
 
+def test_whole_runs_come_back(arm, tmp_path):
+    """A problem that asks for them asks again; the others do not."""
+    asking = replace(arm, whole_runs=True)
+    assert written(asking, tmp_path / "a").whole_runs
+    assert not written(arm, tmp_path / "b").whole_runs
+
+
 @pytest.mark.parametrize("effect", names("effects"))
 def test_effects_come_back(effect, arm, tmp_path):
     """With each effect at its first and last place: the same predictions, far closer than those

@@ -289,6 +289,26 @@ class LocalLogLikelihood(LogLikelihood):
         """
         return 1.0
 
+    def weighed(self, phi: Array, rows: Ints, values: Array) -> Array:
+        """Bring numbers of some rows to units of the noise, as the likelihood weighs residuals.
+
+        Parameters
+        ----------
+        phi : (m,) array
+            As of `__call__`.
+        rows : (r,) array of int
+            Which of the R rows.
+        values : (r, p, k) array
+            k numbers of each signal, such as slopes, in the signals' units.
+
+        Returns
+        -------
+        (r, p, k) array
+            Here divided by the noise's standard deviations.
+        """
+        sd = np.sqrt(np.maximum(self.epsilon(phi), 1e-300))
+        return np.asarray(values / sd[:, None])
+
     def anchored(self, value: Array, predictions: Array) -> "LocalLogLikelihood":
         """Make the same likelihood with a local model that is right at one parameter vector.
 

@@ -74,6 +74,11 @@ class ParallelSimulator(Simulator):
             return self, columns
         return ParallelSimulator(whole, self.executor, self.parts), columns
 
+    def with_finer_steps(self, times: int) -> Simulator | None:
+        """The simulator itself with so many physics steps in the place of one, on the executor."""
+        finer = self.simulator.with_finer_steps(times)
+        return None if finer is None else ParallelSimulator(finer, self.executor, self.parts)
+
     def targets(self, segments: Segments) -> Array:
         """Measured signals (R, p) at every compared row of the segments."""
         return self.simulator.targets(segments)

@@ -41,6 +41,9 @@ class Problem:
         The columns that a partial reset sets, as in `Trajectories.segments`.
     every_step : bool
         Whether every step of a segment is compared, and not the last alone.
+    whole_runs : bool
+        Whether rows that follow each other are fitted as whole runs, whose start states are found,
+        where a method can: the horizon is then that of their windows. Segments where it cannot.
     epsilon : float, (p,) array or None
         Noise variance, one or each signal's [signal unit^2], where it is known.
     start_noise : bool
@@ -91,6 +94,7 @@ class Problem:
     reset: Reset = "transition"
     set_columns: NDArray[np.bool_] | None = None
     every_step: bool = False
+    whole_runs: bool = False
     epsilon: float | Array | None = None
     start_noise: bool = False
     noise_degrees: float | None = None
@@ -177,7 +181,7 @@ class Problem:
         transitions : int, optional
             Fit the first so many transitions.
         horizon : int, optional
-            The horizon of a segment [control steps].
+            The horizon of a segment [control steps]: segments are then asked for, not whole runs.
         executor : concurrent.futures.Executor, optional
             Any executor, on whose workers simulations run; the results are the same, bit for bit.
         simulator : str, optional
@@ -220,5 +224,6 @@ class Problem:
             simulator=simulating,
             trajectories=trajectories,
             horizon=chosen,
+            whole_runs=self.whole_runs and horizon is None,
             run_names=names,
         )

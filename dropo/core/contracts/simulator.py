@@ -195,6 +195,22 @@ class Simulator(ABC):
         """
         return self, np.zeros(0)
 
+    def with_finer_steps(self, times: int) -> "Simulator | None":
+        """Make the same simulator with so many physics steps in the place of one.
+
+        Parameters
+        ----------
+        times : int
+            How many.
+
+        Returns
+        -------
+        Simulator or None
+            A new one, whose counts of steps and failures begin at 0; None where there are no
+            physics steps, as it is unless overridden.
+        """
+        return None
+
     @property
     def start_size(self) -> int:
         """The number s of start coordinates that `offsets` moves; p unless overridden."""

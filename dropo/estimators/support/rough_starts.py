@@ -7,19 +7,10 @@ the motion. They are part of what learned noise and standard errors of dependent
 
 from dataclasses import dataclass, field
 
-import numpy as np
-
-from dropo.core.contracts.estimator import Run
-from dropo.core.contracts.likelihood import LocalLogLikelihood
 from dropo.core.contracts.problem import Problem
-from dropo.core.records.fit import Fit
-from dropo.core.services.validation import Array
 from dropo.estimators.support.first_mean.global_search import SETTINGS as EVERYWHERE
 from dropo.estimators.support.first_mean.global_search import GlobalSearchSettings
-from dropo.estimators.support.standard_errors import local_jacobian
 from dropo.estimators.support.trust_region import TrustRegionSettings
-from dropo.mjmodel.options import physics_step
-from dropo.mjmodel.robot_simulator import RobotSimulator
 
 SMOOTHED = (
     "Estimated states touch something: errors of starts are part of the noise, not carried through"
@@ -120,69 +111,3 @@ def search_settings(
     if starts_are_rough(problem):
         return settings.rough.regions, settings.rough.points
     return settings.regions, settings.points
-
-
-def of_the_physics_step(
-    problem: Problem,
-    run: Run,
-    fit: Fit,
-    objective: LocalLogLikelihood,
-    point: Array,
-    settings: RoughStartSettings = SEARCH.rough,
-) -> tuple[str, ...]:
-    """Say which estimates are those of the model's physics step.
-
-    Parameters
-    ----------
-    problem : Problem
-        Whose robot is simulated once more, with steps of half the length.
-    run : Run
-        Counts the simulations.
-    fit : Fit
-    objective : LocalLogLikelihood
-        Of which the fit is the maximum; by its slopes and weights the estimates would move.
-    point : (m,) array
-        Its unknowns at the fit.
-    settings : RoughStartSettings
-        How rows far from the fit are weighed.
-
-    Returns
-    -------
-    tuple of str
-        A sentence where one would move by more than its standard error.
-    """
-    simulator = problem.simulator
-    if not isinstance(simulator, RobotSimulator):
-        return ()
-    finer = simulator.with_finer_steps(2)
-    segments = problem.segments
-    with run.counting(evaluations=1):
-        own = simulator.predict(fit.mean[None], segments)[0]
-        other = finer.predict(fit.mean[None], segments)[0]
-    simulator.steps += finer.steps
-    slopes = np.asarray(local_jacobian(objective, fit.mean, problem)[:])
-    moments = objective.moments(point)
-    spread = np.diag(np.maximum(fit.epsilon, 1e-300))
-    covariance = spread[None] if moments is None else moments[1]
-    whiten = np.linalg.inv(np.linalg.cholesky(covariance))
-    there = np.isfinite(other) & np.isfinite(own)
-    residual = np.where(there, simulator.targets(segments) - own, 0.0)
-    change = np.where(there, other - own, 0.0)
-    z = (whiten @ residual[:, :, None])[:, :, 0]
-    weight = 1 / (settings.degrees + np.sum(z**2, axis=1))
-    along = whiten @ slopes
-    gram = np.einsum("rpi,r,rpj->ij", along, weight, along)
-    moment = np.einsum("rpi,r,rpq,rq->i", along, weight, whiten, change, optimize=True)
-    moved = -np.linalg.pinv(gram, hermitian=True) @ moment
-    far = np.flatnonzero(np.abs(moved) > fit.mean_se)
-    if not len(far):
-        return ()
-    step = 500 * physics_step(simulator.model)
-    sizes = ", ".join(
-        f"{problem.space.names[i]} by {moved[i]:+.2g} ({abs(moved[i]) / fit.mean_se[i]:.1f} se)"
-        for i in far.tolist()
-    )
-    return (
-        f"physics steps of half the length ({step:.3g} ms) would move {sizes}: intervals hold for"
-        " the model at its own step",
-    )

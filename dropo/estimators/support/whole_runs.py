@@ -13,6 +13,7 @@ from dropo.core.services.validation import Array
 from dropo.mjmodel.robot_simulator import RobotSimulator
 
 NOT_MEASURED = "Part of the moving state is not measured: start states are found along whole runs."
+ASKED_FOR = "The problem asks for whole runs: start states are found along them."
 NOISY = (
     "Rows follow each other and begin with noisy measurements: start states are found along whole"
     " runs."
@@ -66,12 +67,13 @@ def may_follow_runs(problem: Problem, settings: NoisyStartSettings = SETTINGS) -
     Returns
     -------
     bool
-        True where single steps from measured states are compared, rows follow each other within
-        runs of one group each, no effect acts by the time since a start or on the sensors, and
-        bodies do not touch: through contacts, the search is not to be trusted.
+        True where single steps from measured states are compared, or the problem asks for whole
+        runs, rows follow each other within runs of one group each, no effect acts by the time since
+        a start or on the sensors, and bodies do not touch: through contacts, the search is not to
+        be trusted.
     """
-    single_steps = problem.reset == "transition" and problem.horizon == 1
-    if not single_steps or problem.every_step:
+    by_length = problem.horizon == 1 or problem.whole_runs
+    if problem.reset != "transition" or problem.every_step or not by_length:
         return False
     data = problem.trajectories
     if not _follow(data) or _groups_change(data):
@@ -81,7 +83,26 @@ def may_follow_runs(problem: Problem, settings: NoisyStartSettings = SETTINGS) -
         return False
     if bound_to_segments(problem):
         return False
-    return not bool(problem.simulator.in_contact(problem.segments).any())
+    every_row = problem.segments if problem.horizon == 1 else data.segments(1)
+    return not bool(problem.simulator.in_contact(every_row).any())
+
+
+def reason_to_follow(problem: Problem) -> str:
+    """Say why whole runs are to be followed at once, before any fit of segments.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of which `may_follow_runs`.
+
+    Returns
+    -------
+    str
+        Empty where residuals of single steps are to decide.
+    """
+    if lacks_states(problem):
+        return NOT_MEASURED
+    return ASKED_FOR if problem.whole_runs else ""
 
 
 def lacks_states(problem: Problem) -> bool:

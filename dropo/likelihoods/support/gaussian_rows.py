@@ -19,7 +19,7 @@ from dropo.core.contracts.simulator import Simulator
 from dropo.core.numerics.array_api import constant, is_tensor, namespace, plain
 from dropo.core.numerics.kept_rows import MEMORY, MemorySettings, row_blocks
 from dropo.core.records.parameters import Parameter, ParameterSpace
-from dropo.core.records.trajectories import Segments
+from dropo.core.records.trajectories import Ints, Segments
 from dropo.core.services.errors import BadArgument
 from dropo.core.services.validation import Array
 from dropo.likelihoods.support.axial import Axial, along_starts
@@ -339,6 +339,19 @@ class GaussianRows(LocalLogLikelihood):
             root = self._root(sigma, rows)
             out[rows] = np.linalg.solve(root, (self.targets[rows] - mean)[:, :, None])[:, :, 0]
         return out
+
+    def weighed(self, phi: Array, rows: Ints, values: Array) -> Array:
+        """Return L^-1 values (r, p, k), with Sigma = L L', less where a Student t's tail is."""
+        mean, sigma = (moment[rows] for moment in self.moments(phi))
+        residual = (self.targets[rows] - mean)[:, :, None]
+        columns = np.linalg.solve(np.linalg.cholesky(sigma), np.concatenate([values, residual], 2))
+        weighed: Array = columns[:, :, :-1]
+        nu = self.noise.noise.degrees
+        if nu is None:
+            return weighed
+        p = residual.shape[1]
+        weight = (nu + p) / (nu + np.sum(columns[:, :, -1] ** 2, axis=1))
+        return weighed * np.sqrt(weight)[:, None, None]
 
     def _moments(self, member: Any, epsilon: Any, rows: slice) -> tuple[Any, Any]:
         """Mean (r, p) and Sigma (r, p, p) of a block with noise."""

@@ -79,6 +79,7 @@ def read_problem(
             horizon=content.horizon,
             reset=reset,
             set_columns=set_columns,
+            whole_runs=content.whole_runs,
             epsilon=epsilon,
             start_noise=content.start_noise,
             noise_degrees=content.student_t,

@@ -204,6 +204,10 @@ class ProblemFile(Entry):
     """The numbers of the model that may be fitted, by names of your own."""
     horizon: Count = Field(1, alias="lambda")
     """Control steps in a segment."""
+    whole_runs: Annotated[
+        bool, Expected("true, where start states are to be found along whole runs, or false")
+    ] = False
+    """Whether a fit finds the start states of whole runs where it can, in windows of `lambda`."""
     epsilon: (
         Annotated[
             Annotated[Variance, SINGLE]
@@ -300,4 +304,7 @@ class ProblemFile(Entry):
         if self.reset == "start" and "horizon" in self.model_fields_set:
             expected = "none with `reset: start`, where a segment is a whole trajectory"
             refuse(expected, key="lambda", got=str(self.horizon))
+        if self.reset != "transition" and self.whole_runs:
+            expected = "false with a `reset` other than `transition`"
+            refuse(expected, key="whole_runs", got="true")
         return self

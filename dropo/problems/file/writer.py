@@ -93,6 +93,8 @@ def _make_content(
         },
         "lambda": problem.horizon,
     }
+    if problem.whole_runs:
+        content["whole_runs"] = True
     if problem.epsilon is not None:
         content["epsilon"] = np.asarray(problem.epsilon, dtype=float).tolist()
     if problem.start_noise:

@@ -106,6 +106,22 @@ class WarpSimulator(Simulator):
             return self, columns
         return WarpSimulator(whole, device=self.device, worlds=self.worlds), columns
 
+    def with_finer_steps(self, times: int) -> "WarpSimulator":
+        """Make the same simulator with shorter physics steps.
+
+        Parameters
+        ----------
+        times : int
+            Steps in the place of one.
+
+        Returns
+        -------
+        WarpSimulator
+            A new one, whose counts of steps and failures begin at 0.
+        """
+        finer = self.cpu.with_finer_steps(times)
+        return WarpSimulator(finer, device=self.device, worlds=self.worlds)
+
     def _predict(self, values: Array, segments: Segments, offsets: Array | None) -> Array:
         out = np.empty((len(values), len(segments.rows[0]), len(self.signals)))
         fields = self._numbers(values)

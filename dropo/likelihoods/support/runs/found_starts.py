@@ -1,5 +1,8 @@
 """A simulator whose runs begin in the start states that were found."""
 
+import copy
+from dataclasses import replace
+
 import numpy as np
 
 from dropo.core.contracts.simulator import Simulator
@@ -44,6 +47,18 @@ class FoundStarts(Simulator):
     def start_size(self) -> int:
         """The number of the simulator's start coordinates."""
         return self.observed.simulator.start_size
+
+    def with_finer_steps(self, times: int) -> "FoundStarts | None":
+        """The same starts with so many physics steps in the place of one."""
+        inner = self.observed.simulator.with_finer_steps(times)
+        if inner is None:
+            return None
+        finer = copy.copy(self)
+        finer.observed = replace(self.observed, simulator=inner)
+        finer.steps_per_action = inner.steps_per_action
+        finer.steps = 0
+        finer.failures = 0
+        return finer
 
     def targets(self, segments: Segments) -> Array:
         """(R, m) the measured signals."""

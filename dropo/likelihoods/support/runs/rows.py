@@ -1,5 +1,7 @@
 """The log-likelihood of the parameters, and of their spread from group to group of runs."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from dropo.core.contracts.family import Family
@@ -11,6 +13,7 @@ from dropo.core.services.validation import Array
 from dropo.likelihoods.support.member_moments import coordinates, moments_of, slopes_of_moments
 from dropo.likelihoods.support.runs.condensed import Condensed
 from dropo.likelihoods.support.runs.linearization import Columns
+from dropo.likelihoods.support.runs.noise_levels import NoiseDistribution, whiten
 
 
 class RunRows(LocalLogLikelihood):
@@ -31,8 +34,8 @@ class RunRows(LocalLogLikelihood):
         The group of each piece: 0, 1, ...
     centre : (d,) or (G, d) array
         Parameters, those of all groups or of each.
-    epsilon : (m,) array
-        Noise variances, for `epsilon`.
+    noise : NoiseDistribution
+        Of the noise.
     whitened : (R, m) array, optional
         Whitened residuals, where the noise was given.
 
@@ -53,7 +56,7 @@ class RunRows(LocalLogLikelihood):
         columns: Columns,
         group: Ints,
         centre: Array,
-        epsilon: Array,
+        noise: NoiseDistribution,
         whitened: Array | None = None,
     ):
         self.family = family
@@ -61,7 +64,8 @@ class RunRows(LocalLogLikelihood):
         groups = int(group.max()) + 1
         centre = np.broadcast_to(centre, (groups, centre.shape[-1]))
         self.centre = coordinates(family, centre)  # (G, d)
-        self._epsilon = epsilon
+        self.columns = columns
+        self.noise = noise
         self.whitened = whitened
         # In the coordinates of the family: logarithms, or the parameters as they are.
         unit = centre if family.logarithmic else np.ones_like(centre)
@@ -91,7 +95,17 @@ class RunRows(LocalLogLikelihood):
 
     def epsilon(self, phi: Array) -> Array:
         """Return the noise variances (m,) of the measured signals."""
-        return self._epsilon
+        return self.noise.variance
+
+    def weighed(self, phi: Array, rows: Ints, values: Array) -> Array:
+        """Return values (r, m, k) without memory and size, less where a Student t's tail is."""
+        instants = np.flatnonzero(~self.columns.first)[rows]
+        matrix = np.zeros((*self.columns.valid.shape, values.shape[2]))
+        matrix[instants] = values
+        found = whiten(replace(self.columns, matrix=matrix), self.noise)
+        residual = whiten(self.columns, self.noise)[:, :, -1]
+        weights = np.sqrt(self.noise.weights(residual**2))
+        return np.asarray((found * weights[:, :, None])[instants])
 
     def mean(self, phi: Array) -> Array:
         """Return the prediction (R, m) at each group's mode, from the best starts."""
