@@ -18,7 +18,7 @@ from dropo.core.services.evaluation_log import EvaluationLog
 from dropo.core.services.validation import Array, known, require
 from dropo.data.outliers.without_disturbances import WithoutDisturbances, without_disturbances
 from dropo.diagnosis.far_off.search import Explained, FarOffSearch, FarOffSettings
-from dropo.diagnosis.far_off.start import FarOffLimits, start_of, wiring_warnings
+from dropo.diagnosis.far_off.start import FarOffLimits, start_of
 from dropo.diagnosis.findings.causes import SETTINGS as CAUSES
 from dropo.diagnosis.findings.causes import causes, leaders, suspects
 from dropo.diagnosis.findings.disturbances import left_out, outlier_runs
@@ -30,6 +30,7 @@ from dropo.diagnosis.findings.horizons import (
     horizons,
     signal_noise,
 )
+from dropo.diagnosis.findings.miswired import miswired
 from dropo.diagnosis.findings.motion import motion
 from dropo.diagnosis.findings.not_identifiable import undetermined
 from dropo.diagnosis.findings.numerics import numerics, refused_delay, short_delay
@@ -40,6 +41,7 @@ from dropo.diagnosis.findings.unexplained_forces import impulses, without_impuls
 from dropo.diagnosis.laws.discovery import LawSettings, WithLaws, find_laws
 from dropo.diagnosis.parts import Cause, Remaining
 from dropo.diagnosis.regression.quick import QuickSettings
+from dropo.diagnosis.regression.wiring import Wiring, WiringSettings, wiring_of
 from dropo.diagnosis.result import Diagnosis, HeldOut
 from dropo.diagnosis.search.arithmetic import Arithmetic, Rivals
 from dropo.diagnosis.search.confirmation import SelectionSettings
@@ -78,6 +80,9 @@ class DiagnosisSettings:
         When the sensors' noise is not taken to be white.
     laws : LawSettings
         How laws are looked for in what known effects leave unexplained.
+    wiring : WiringSettings or None
+        When signs, units and places of columns are wrong: that is the finding then, and nothing
+        else is looked for. Never if None.
     far_off : FarOffLimits or None
         From when on the search is that for models that are far off; never if None.
     regression : QuickSettings
@@ -91,6 +96,7 @@ class DiagnosisSettings:
     """
 
     windows: int = 96
+    wiring: WiringSettings | None = field(default_factory=WiringSettings)
     far_off: FarOffLimits | None = field(default_factory=FarOffLimits)
     regression: QuickSettings = field(default_factory=QuickSettings)
     motions: FarOffSettings = field(default_factory=FarOffSettings)
@@ -183,9 +189,21 @@ class Diagnose:
         # The simulator's threads use the cores; products of small matrices gain nothing from more.
         with threadpool_limits(1, user_api="blas"):
             log = evaluation_log or EvaluationLog()
-            task = _Task(problem, problem, np.random.default_rng(rng), log)
-            found = self._run(task, progress)
+            wiring = self._wiring(problem, progress)
+            if wiring.faults and all(fault.evidence for fault in wiring.faults):
+                found = miswired(problem, wiring)
+            else:
+                doubts = tuple(fault.text for fault in wiring.faults)
+                generator = np.random.default_rng(rng)
+                found = self._run(_Task(problem, problem, generator, log, doubts), progress)
         return replace(found, wall_time_s=time.perf_counter() - begun, seed=seed)
+
+    def _wiring(self, problem: Problem, progress: Progress) -> Wiring:
+        """How the columns of the data are to be read, where that is asked for."""
+        if self.settings.wiring is None:
+            return Wiring(())
+        progress(0.0, "signs, units and places of the data's columns")
+        return wiring_of(problem, self.settings.wiring)
 
     def baseline(self, problem: Problem) -> float:
         """Evaluate the model as it is, its declared parameters fitted; `run` starts there.
@@ -268,10 +286,10 @@ class Diagnose:
         log = log or EvaluationLog()
         return Selection(library, floor, progress, self.settings.selection, log)
 
-    def _set_up(self, problem: Problem, progress: Progress, log: EvaluationLog) -> "_Setup":
+    def _set_up(self, task: "_Task", progress: Progress) -> "_Setup":
         """Everything that may be wrong, and the data to find it in."""
+        problem, log, wiring = task.data, task.log, task.wiring
         free = _free(problem, self.parameters)
-        wiring = wiring_warnings(problem)
         explained = self._explained(problem, free, wiring, progress, log)
         if explained is None:
             instances = instances_for(problem, self.effects, free)
@@ -295,7 +313,7 @@ class Diagnose:
 
     def _run(self, task: "_Task", progress: Progress) -> Diagnosis:
         """The diagnosis of a problem, or of what is left of it without disturbances."""
-        setup = self._set_up(task.data, progress, task.log)
+        setup = self._set_up(task, progress)
         setup.selection.progress(0.0, "fitting the model as it is")
         setup = _with_noise_left(setup, task.before, self.settings.noise)
         disturbed = partial(self._without_disturbances, task)
@@ -563,6 +581,7 @@ class _Task:
 
     came: with the model as it came.
     problem: with all data, and the steps that the model has by now.
+    wiring: what does not fit in signs, units and names of commands, a sentence each.
     undisturbed: what is left of it where disturbances were found.
     before: the model by which they were found.
     spent: simulator steps so far.
@@ -572,6 +591,7 @@ class _Task:
     problem: Problem
     rng: np.random.Generator
     log: EvaluationLog
+    wiring: tuple[str, ...] = ()
     undisturbed: WithoutDisturbances | None = None
     before: State | None = None
     spent: int = 0

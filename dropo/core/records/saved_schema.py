@@ -269,6 +269,7 @@ class SavedCause(Saved):
     stability: SavedStability | None = None
     formula: str = ""
     called: str = ""
+    to_change: str = ""
 
 
 class SavedSuspect(Saved):
@@ -407,6 +408,29 @@ class SavedFinding(Saved):
     wall_time_s: float
 
 
+class SavedEvidence(Saved):
+    """How much of the forces a fault explains."""
+
+    removed: float
+    gain: float
+    gain_se: float
+    before: float
+    after: float
+    p_value: float
+
+
+class SavedFault(Saved):
+    """Commands or angles that do not mean what the model takes them for."""
+
+    kind: str
+    target: str
+    text: str
+    of: str = ""
+    factor: float | None = None
+    to_change: str = ""
+    evidence: SavedEvidence | None = None
+
+
 class SavedDiagnosis(SavedFinding):
     """The content of diagnosis.json of a search by simulation."""
 
@@ -421,15 +445,8 @@ class SavedDiagnosis(SavedFinding):
     disturbances: SavedLeftOut | None = None
     undetermined: Texts = []
     numerics: Texts = []
+    faults: list[SavedFault] = []
     pictures: FigureData | None = None
-
-
-class SavedFault(Saved):
-    """Commands or angles that do not mean what the model takes them for."""
-
-    kind: str
-    target: str
-    text: str
 
 
 class SavedForces(Saved):

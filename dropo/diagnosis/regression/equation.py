@@ -306,12 +306,8 @@ class Log:
             )
         columns = [place[i] for i in range(model.nq)]
         self.positions: list[Array] = []
-        self.commands: list[Array] = []
-        fixed = [
-            (instance, magnitudes)
-            for instance, magnitudes in simulator.fixed
-            if instance.command is not None or instance.actuation is not None
-        ]
+        self.logged: list[Array] = []
+        self._simulator = simulator
         for start, stop in trajectories.spans:
             rows = trajectories.observations[start:stop]
             last = trajectories.next_observations[stop - 1 : stop]
@@ -319,11 +315,22 @@ class Log:
             commands = np.zeros((stop - start + 1, model.nu))
             commands[:-1, simulator.controls] = trajectories.actions[start:stop]
             commands[-1] = commands[-2]
-            commands = clamp(commands, model)
-            if fixed:
-                fine = change_commands(commands, model, simulator.frame_skip, fixed)
-                commands = fine.reshape(len(commands), simulator.frame_skip, model.nu).mean(axis=1)
-            self.commands.append(commands)
+            self.logged.append(commands)
+        self.commands = [self.given(commands) for commands in self.logged]
+
+    def given(self, commands: Array) -> Array:
+        """What the model makes of commands (n, nu): within their ranges, with its own effects."""
+        simulator, model = self._simulator, self._simulator.model
+        fixed = [
+            (instance, magnitudes)
+            for instance, magnitudes in simulator.fixed
+            if instance.command is not None or instance.actuation is not None
+        ]
+        commands = clamp(commands, model)
+        if fixed:
+            fine = change_commands(commands, model, simulator.frame_skip, fixed)
+            commands = fine.reshape(len(commands), simulator.frame_skip, model.nu).mean(axis=1)
+        return commands
 
     def _continued(self, rows: Array) -> Array:
         """Positions (n, nq) whose quaternions do not change their sign from row to row."""
