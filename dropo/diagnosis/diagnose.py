@@ -37,6 +37,7 @@ from dropo.diagnosis.findings.numerics import numerics, refused_delay, short_del
 from dropo.diagnosis.findings.remaining import remaining
 from dropo.diagnosis.findings.replay import replay
 from dropo.diagnosis.findings.stability import stability
+from dropo.diagnosis.findings.still import Held, hold_still
 from dropo.diagnosis.findings.unexplained_forces import impulses, without_impulses
 from dropo.diagnosis.laws.discovery import LawSettings, WithLaws, find_laws
 from dropo.diagnosis.parts import Cause, Remaining
@@ -194,8 +195,12 @@ class Diagnose:
                 found = miswired(problem, wiring)
             else:
                 doubts = tuple(fault.text for fault in wiring.faults)
-                generator = np.random.default_rng(rng)
-                found = self._run(_Task(problem, problem, generator, log, doubts), progress)
+                held = hold_still(problem)
+                data = problem if held is None else held.problem
+                task = _Task(data, data, np.random.default_rng(rng), log, doubts, held)
+                found = self._run(task, progress)
+                if held is not None:
+                    found = held.restored(found, self._untold(held))
         return replace(found, wall_time_s=time.perf_counter() - begun, seed=seed)
 
     def _wiring(self, problem: Problem, progress: Progress) -> Wiring:
@@ -204,6 +209,12 @@ class Diagnose:
             return Wiring(())
         progress(0.0, "signs, units and places of the data's columns")
         return wiring_of(problem, self.settings.wiring)
+
+    def _untold(self, held: Held) -> list[EffectInstance]:
+        """The effects that would be looked for at joints that never move."""
+        free = _free(held.problem, self.parameters)
+        instances = instances_for(held.problem, self.effects, free)
+        return [instance for instance in instances if held.at(instance)]
 
     def baseline(self, problem: Problem) -> float:
         """Evaluate the model as it is, its declared parameters fitted; `run` starts there.
@@ -293,6 +304,8 @@ class Diagnose:
         explained = self._explained(problem, free, wiring, progress, log)
         if explained is None:
             instances = instances_for(problem, self.effects, free)
+            if task.held is not None:
+                instances = [one for one in instances if not task.held.at(one)]
         else:
             problem = explained.model.problem
             instances = [instance for instance, _ in explained.model.numbers]
@@ -582,6 +595,7 @@ class _Task:
     came: with the model as it came.
     problem: with all data, and the steps that the model has by now.
     wiring: what does not fit in signs, units and names of commands, a sentence each.
+    held: the joints that never move.
     undisturbed: what is left of it where disturbances were found.
     before: the model by which they were found.
     spent: simulator steps so far.
@@ -592,6 +606,7 @@ class _Task:
     rng: np.random.Generator
     log: EvaluationLog
     wiring: tuple[str, ...] = ()
+    held: Held | None = None
     undisturbed: WithoutDisturbances | None = None
     before: State | None = None
     spent: int = 0

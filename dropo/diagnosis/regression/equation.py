@@ -52,7 +52,9 @@ class EquationSettings:
     still : float
         A joint rests where it is slower than this fraction of its RMS speed ...
     still_noise : float
-        ... or than so many standard deviations of the speed's noise.
+        ... or than so many standard deviations of the speed's noise ...
+    stuck : float
+        ... or than this speed [rad/s, m/s].
     sticks : float
         A row is dropped for a joint that rests for this fraction of the second kernel.
     share : float
@@ -79,6 +81,7 @@ class EquationSettings:
     stretch: float = 2.2
     still: float = 0.05
     still_noise: float = 4.0
+    stuck: float = 1e-9
     sticks: float = 0.1
     share: float = 0.05
     slow: float = 0.02
@@ -477,6 +480,7 @@ def _stretch_equation(
         forces.append(drives.forces(late))
     noise = log.noise * np.sqrt(np.sum(kernels[1] ** 2))
     still_speed = np.maximum(settings.still * speed, settings.still_noise * noise)
+    still_speed = np.maximum(still_speed, settings.stuck)  # of a joint that never moves
     still = np.abs(velocity) < still_speed
     # Dry friction acted before the first kernel: it passes that kernel as all other forces did.
     sign = np.tanh(velocity / np.maximum(settings.slow * speed, 1e-300))

@@ -18,6 +18,7 @@ from dropo.core.numerics.tails import student_tail
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import BadArgument
 from dropo.core.services.validation import Array, require
+from dropo.diagnosis.findings.still import still_sentences
 from dropo.diagnosis.parts import Alternative, Cause, Estimate
 from dropo.diagnosis.regression.choice import BlockTables, ChoiceSettings, Chooser
 from dropo.diagnosis.regression.equation import Equation, EquationSettings, equation_of
@@ -128,7 +129,8 @@ class QuickDiagnose:
         faults = wiring_faults(problem)
         estimate = estimate_missing(problem, fitted, self.settings)
         causes = [] if faults else self._causes(simulator, estimate)
-        warnings = [*problem.warnings, *_warnings(simulator, estimate)]
+        still = still_sentences(problem)
+        warnings = [*problem.warnings, *still, *_warnings(simulator, estimate)]
         try:
             equation = equation_of(
                 problem, checked, self.settings.equation, width=estimate.fitter.equation.width

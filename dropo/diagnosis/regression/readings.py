@@ -32,6 +32,8 @@ from dropo.mjmodel.body_regressors import rigid_forces
 from dropo.mjmodel.forces import linear_drives
 from dropo.mjmodel.joints import Joint, joints
 
+MOVES = 1e-9
+"""A joint whose positions spread by less rests [rad, m]."""
 Stretch = tuple[int, int, int]
 """A run, its first row, and the row behind the last."""
 
@@ -52,6 +54,8 @@ class ReadingSettings:
         The fraction of its weight that the model has too much at most.
     block : float
         Length of the blocks of time that errors are computed from [s].
+    moving : float
+        A joint is judged if its positions spread by more standard deviations of their noise.
     fewest : int
         Rows in which a joint must move, on each side, to be judged.
     still : float
@@ -71,6 +75,7 @@ class ReadingSettings:
     delays: tuple[float, ...] = (0.0, 0.01, 0.02, 0.03, 0.045, 0.06)
     lightest: float = 0.3
     block: float = 0.5
+    moving: float = 5.0
     fewest: int = 24
     still: float = 0.05
     still_noise: float = 4.0
@@ -229,10 +234,15 @@ class Readings:
         """The driven degrees of freedom that move and are commanded in the data."""
         moves = self._motion(self.plain).moves
         fewest = self.settings.fewest
-        commands = np.concatenate(self.parts[0][0].logged)
+        log = self.parts[0][0]
+        commands = np.concatenate(log.logged)
+        spread = np.concatenate([rows - rows.mean(axis=0) for rows in log.positions]).std(axis=0)
+        least = np.maximum(self.settings.moving * log.noise, MOVES)
         found = []
         for dof, drives in sorted(self.actuators_at.items()):
             rows = min(int(moves[self.held == side, dof].sum()) for side in (False, True))
+            if not spread[dof] > least[dof]:
+                continue
             if rows >= fewest and np.any(np.ptp(commands[:, list(drives)], axis=0) > 0):
                 found.append(dof)
         return tuple(found)

@@ -72,6 +72,11 @@ class WiringSettings:
         at least on data held out.
     explained : float
         Root mean square of the force that it may leave at each of them.
+    worse : float
+        Root mean square of the force that another joint may leave in any case; it may leave more
+        only if it is not more than `equal` times what it left.
+    level : float
+        The p-value that the gain of each fault has at most.
     each : float
         Fraction of what the joints of one fault leave without it that it removes by itself.
     step : float
@@ -106,6 +111,8 @@ class WiringSettings:
     strange: float = 0.5
     removes: float = 0.75
     explained: float = 0.45
+    worse: float = 0.1
+    level: float = 0.01
     each: float = 0.5
     step: float = 0.3
     most: int = 12
@@ -265,6 +272,8 @@ class _Search:
         further = [*self._of_motors(changes), *self._of_torques(changes)]
         reading = self._reading([*changes, *further])
         faults = [self._fault(change, changes) for change in changes]
+        if not all(_certain(fault, self.settings.level) for fault in faults):
+            return Wiring(())
         faults += [self._further_fault(change, reading) for change in further]
         if not faults:
             return Wiring(())
@@ -425,7 +434,11 @@ class _Search:
         was = sum(_left(before[dof]) for dof in named)
         now = sum(_left(after[dof]) for dof in named)
         good = all(_left(after[dof]) < settings.explained**2 for dof in named)
-        return good and now < (1 - settings.removes) * was and _total(after) < _total(before)
+        # The right reading of some columns explains no other joint worse.
+        for dof in set(before) - named:
+            allowed = max(settings.equal * _left(before[dof]), settings.worse**2)
+            good = good and _left(after[dof]) <= allowed
+        return good and now < (1 - settings.removes) * was
 
     def _fault(self, change: Change, changes: Sequence[Change]) -> WiringFault:
         """A change in words, with its evidence."""
@@ -478,6 +491,11 @@ class _Search:
         factor = change.factor if change.kind == "unit_factor" else None
         target = ", ".join(names)
         return WiringFault(change.kind, target, text, of, factor, to_change, evidence)
+
+
+def _certain(fault: WiringFault, level: float) -> bool:
+    """Whether a fault's gain on data held out is no chance."""
+    return fault.evidence is not None and fault.evidence.p_value < level
 
 
 def _left(fit: JointFit) -> float:
