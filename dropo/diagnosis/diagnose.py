@@ -21,6 +21,7 @@ from dropo.diagnosis.far_off.search import Explained, FarOffSearch, FarOffSettin
 from dropo.diagnosis.far_off.start import FarOffLimits, start_of
 from dropo.diagnosis.findings.causes import SETTINGS as CAUSES
 from dropo.diagnosis.findings.causes import causes, leaders, suspects
+from dropo.diagnosis.findings.detectable import Detectable, DetectableSettings, detectable
 from dropo.diagnosis.findings.disturbances import left_out, outlier_runs
 from dropo.diagnosis.findings.figures import figure_data
 from dropo.diagnosis.findings.horizons import (
@@ -79,6 +80,8 @@ class DiagnosisSettings:
         How the windows' horizon is chosen.
     noise : NoiseSettings
         When the sensors' noise is not taken to be white.
+    detectable : DetectableSettings
+        How it is found what the data of a consistent model would have shown.
     laws : LawSettings
         How laws are looked for in what known effects leave unexplained.
     wiring : WiringSettings or None
@@ -106,6 +109,7 @@ class DiagnosisSettings:
     selection: SelectionSettings = field(default_factory=SelectionSettings)
     window_length: WindowLengthSettings = field(default_factory=WindowLengthSettings)
     noise: NoiseSettings = field(default_factory=NoiseSettings)
+    detectable: DetectableSettings = field(default_factory=DetectableSettings)
     laws: LawSettings = field(default_factory=LawSettings)
 
 
@@ -441,6 +445,7 @@ class Diagnose:
             extended=HeldOut(per_step(last), tuple(with_causes)),
             remaining=rest,
             problem=extended,
+            detectable=self._detectable(setup, searched, verdict),
             noise={
                 signal.name: float(size)
                 for signal, size in zip(simulator.signals, signal_noise(data, last), strict=True)
@@ -474,6 +479,18 @@ class Diagnose:
             simulator_steps=spent + library.simulator.steps,
             interrupted=searched.interrupted,
         )
+
+    def _detectable(
+        self, setup: "_Setup", searched: "_Searched", verdict: str
+    ) -> tuple[Detectable, ...]:
+        """The sizes of usual effects that the data of a consistent model would have shown."""
+        if verdict != "consistent" or searched.interrupted or setup.explained is not None:
+            return ()
+        selection = setup.selection.settings
+        settings = self.settings.detectable
+        instances = setup.instances
+        last = searched.last
+        return detectable(setup.library, last, instances, setup.count, selection, settings)
 
     def _with_laws(
         self, setup: "_Setup", searched: "_Searched", rng: np.random.Generator

@@ -13,6 +13,7 @@ from dropo.core.records.predictions import Predictions
 from dropo.core.services.atomic_write import write_json
 from dropo.core.services.tables import Report, Table, number, steps_text
 from dropo.data.outliers.outlier_runs import OutlierRun
+from dropo.diagnosis.findings.detectable import Detectable, detectable_table
 from dropo.diagnosis.findings.disturbances import LeftOut
 from dropo.diagnosis.findings.horizons import Horizon
 from dropo.diagnosis.findings.replay import Replay
@@ -107,6 +108,8 @@ class Diagnosis(Report):
         What figures are drawn from.
     motion : Predictions or None
         Measured and simulated motion.
+    detectable : tuple of Detectable
+        Where the model is consistent, the size of each usual effect that the data would have shown.
     faults : tuple of WiringFault
         Columns that are not what the model takes them for; the search ended there, and each is a
         cause.
@@ -142,6 +145,7 @@ class Diagnosis(Report):
     replay: Replay | None = None
     figures: FigureData | None = None
     motion: Predictions | None = None
+    detectable: tuple[Detectable, ...] = ()
     faults: tuple[WiringFault, ...] = ()
     warnings: tuple[str, ...] = ()
     seed: int | None = None
@@ -280,6 +284,7 @@ class Diagnosis(Report):
             "parameters": dict(self.parameters),
             "nominal": {"horizons": [horizon.to_json() for horizon in self.nominal]},
             "undetermined": list(self.undetermined),
+            "detectable": [one.to_json() for one in self.detectable],
             "numerics": list(self.numerics),
             "warnings": list(self.warnings),
             "seed": self.seed,
@@ -311,6 +316,8 @@ class Diagnosis(Report):
             lines.append(fault_table(self.faults))
         if self.baseline.horizons:
             lines.append(self._error_table())
+        if self.detectable:
+            lines.append(detectable_table(self.detectable))
         if self.replay:
             lines.append(self.replay.table())
             lines += [f"  {one}" for one in self.replay.odd()]

@@ -62,6 +62,7 @@ BESIDE = {
     "pictures",
     "nominal",
     "undetermined",
+    "detectable",
     "numerics",
     "window_steps",
     "disturbances",

@@ -88,7 +88,7 @@ def test_regression_leaves_it_out(stuck):
     quick = QuickDiagnose().run(stuck)
     assert any("'bend' never moves" in text for text in quick.warnings)
     assert quick.verdict == "explained"
-    assert not [cause for cause in quick.causes if cause.target in ("bend", "stick")]
+    assert not [cause for cause in quick.causes if cause.target in ("bend", "bend_servo")]
 
 
 def test_a_joint_is_held_where_it_stays():

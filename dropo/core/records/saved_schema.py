@@ -408,6 +408,17 @@ class SavedFinding(Saved):
     wall_time_s: float
 
 
+class SavedDetectable(Saved):
+    """The size of an effect that the data would have shown."""
+
+    effect: str
+    target: str | None
+    variant: str
+    quantity: str
+    unit: str
+    size: Known
+
+
 class SavedEvidence(Saved):
     """How much of the forces a fault explains."""
 
@@ -446,6 +457,7 @@ class SavedDiagnosis(SavedFinding):
     undetermined: Texts = []
     numerics: Texts = []
     faults: list[SavedFault] = []
+    detectable: list[SavedDetectable] = []
     pictures: FigureData | None = None
 
 

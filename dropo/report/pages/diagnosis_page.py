@@ -9,6 +9,7 @@ import numpy as np
 from dropo import plots
 from dropo.core.records.figure_data import FigureData
 from dropo.core.records.fit_choices import ExcludedSpan
+from dropo.diagnosis.findings.detectable import Detectable
 from dropo.diagnosis.findings.replay import OddReplay
 from dropo.diagnosis.parts import Alternative, Cause, Leader, Suspect, effect_in_words
 from dropo.diagnosis.regression.result import WiringFault
@@ -72,6 +73,7 @@ def diagnosis_page(result: Result) -> str:
         parts.motion(predictions, result.media),
         parts.errors(predictions, _errors(content) + _replay(content)),
         _remaining(content, found),
+        _detectable(content),
         parts.made(result),
     ]
     kicker = f"dropo diagnose · {result.problem}"
@@ -242,6 +244,29 @@ def _estimate(cause: Cause, name: str) -> list[Cell]:
         Cell(plain(cause.held_out_gain_se, 2)),
         Cell(_p_value(cause.p_value), cause.p_value),
     ]
+
+
+def _detectable(content: dict[str, Any]) -> Section | None:
+    """The sizes of usual effects that the data would have shown, where none was found."""
+    found = [Detectable.from_json(saved) for saved in content.get("detectable", [])]
+    if not found:
+        return None
+    rows = [
+        [
+            Cell(words(effect_in_words(one.effect, None, one.variant))),
+            Cell(one.target or "all"),
+            Cell(one.quantity),
+            Cell("at no size") if one.size is None else Cell(plain(one.size, 2), one.size),
+            Cell(one.unit.removesuffix("1")),
+        ]
+        for one in found
+    ]
+    lead = (
+        "The smallest size of each usual effect at which these data are expected to confirm it: "
+        "what is smaller may be there."
+    )
+    header = ["effect", "where", "quantity", "shown from", "unit"]
+    return Section("What these data would have shown", lead, table(header, rows))
 
 
 def fault_remark(fault: dict[str, Any]) -> str:
