@@ -285,7 +285,7 @@ def _admitted(
             own = slice(i * len(starts), (i + 1) * len(starts))
             reach = float(np.abs(commands[i] - middle).max())
             found.append((replace(sized[i], reach=reach), every[own], states[own]))
-        tried = [one for one, admitted in zip(tried, good.tolist(), strict=True) if not admitted]
+        tried = [tried[i] for i in np.flatnonzero(~good).tolist()]
     return found
 
 

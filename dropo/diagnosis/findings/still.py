@@ -9,7 +9,6 @@ from dropo.core.contracts.effect import EffectInstance
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Ints, Trajectories
 from dropo.core.services.tables import number
-from dropo.core.services.validation import Array
 from dropo.diagnosis.result import Diagnosis
 from dropo.mjmodel.joints import Joint, actuators, joints
 from dropo.mjmodel.robot_simulator import RobotSimulator
@@ -65,10 +64,10 @@ class Held:
         Diagnosis
         """
         simulator = found.problem.simulator
-        if not isinstance(simulator, MujocoSimulator):
-            raise AssertionError("only a MujocoSimulator holds joints")
         came = self.came.simulator
-        free = simulator.with_joints_of(came).observing(came.observation)  # type: ignore[attr-defined]
+        if not (isinstance(simulator, MujocoSimulator) and isinstance(came, MujocoSimulator)):
+            raise AssertionError("only a MujocoSimulator holds joints")
+        free = simulator.with_joints_of(came).observing(came.observation)
         told = list(dict.fromkeys(one.label for one in untold))
         listed = (f"Not told, since their joint never moves: {', '.join(told)}.",) if told else ()
         return replace(
@@ -185,7 +184,7 @@ def _without(problem: Problem, simulator: MujocoSimulator, kept: Ints) -> Proble
         before, after = data.observations[:, kept], data.next_observations[:, kept]
         return replace(data, observations=before, next_observations=after)
 
-    set_columns: Array | None = problem.set_columns
+    set_columns = problem.set_columns
     return replace(
         problem,
         simulator=simulator,

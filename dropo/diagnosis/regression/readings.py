@@ -385,6 +385,7 @@ class Readings:
         columns, target = columns[rows], target[rows]
         scale = np.sqrt(np.mean(columns**2, axis=0))
         scale = np.where(scale > 0, scale, 1.0)
+        scale = np.asarray(scale, dtype=float)
         q, r = np.linalg.qr(columns / scale)
         along = q.T @ target
         sizes, residual = nnls(r, along)
@@ -422,8 +423,9 @@ class Readings:
         """
         total = np.zeros(len(self.block))
         for i in self.actuators_at[dof]:
-            key = (i, reading.commands[i], reading.command_scales[i], delay, within)
-            key = (key, reading.of_angles) if self._gains_vary else key
+            key: object = (i, reading.commands[i], reading.command_scales[i], delay, within)
+            if self._gains_vary:
+                key = (key, reading.of_angles)
             if key not in self._smooth:
                 made = []
                 for (log, stretch), gains in zip(self.parts, motion.gains, strict=True):
