@@ -385,12 +385,11 @@ class Readings:
         columns, target = columns[rows], target[rows]
         scale = np.sqrt(np.mean(columns**2, axis=0))
         scale = np.where(scale > 0, scale, 1.0)
-        scale = np.asarray(scale, dtype=float)
         q, r = np.linalg.qr(columns / scale)
         along = q.T @ target
         sizes, residual = nnls(r, along)
         square = residual**2 + target @ target - along @ along
-        return float(square / max(target @ target, 1e-300)), sizes / scale
+        return float(square) / max(float(target @ target), 1e-300), np.asarray(sizes) / scale
 
     def _columns(self, motion: _Motion, dof: int, drives: Sequence[Array]) -> tuple[Array, Array]:
         """The columns of numbers that are 0 or above, those of drives first, and what they explain.
