@@ -3,6 +3,7 @@ measures the gain.
 """
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -90,6 +91,15 @@ def add(commands: Any) -> None:
         help=(
             "auto: spans of time in which something pushes, which no cause explains, are "
             "found, listed and left out"
+        ),
+    )
+    parser.add_argument(
+        "--wiring",
+        choices=("auto", "off"),
+        default="auto",
+        help=(
+            "auto: signs, units and places of columns are checked first, and where one is wrong "
+            "that is the finding; off: they are taken to be right"
         ),
     )
     parser.add_argument(
@@ -198,12 +208,18 @@ def _diagnosis(
 
         return QuickDiagnose().run(problem)
     from dropo.core.services.progress_file import PROGRESS
-    from dropo.diagnosis.diagnose import Diagnose
+    from dropo.diagnosis.diagnose import Diagnose, DiagnosisSettings
 
     progress = Progress(silent=arguments.quiet, path=folder.file(PROGRESS))
     try:
+        settings = DiagnosisSettings()
+        if arguments.wiring == "off":
+            settings = replace(settings, wiring=None)
         diagnose = Diagnose(
-            arguments.effects, length=arguments.steps, disturbances=arguments.disturbances == "auto"
+            arguments.effects,
+            length=arguments.steps,
+            disturbances=arguments.disturbances == "auto",
+            settings=settings,
         )
         return diagnose.run(problem, rng=arguments.seed, evaluation_log=log, progress=progress)
     finally:

@@ -67,6 +67,8 @@ def diagnosis_record(arguments: argparse.Namespace, problem: Problem) -> dict[st
     """
     options = ("quick", "effects", "reference", "hide", "steps", "disturbances")
     settings = {name: plain(getattr(arguments, name)) for name in options}
+    if arguments.wiring != "auto":
+        settings["wiring"] = arguments.wiring
     return {
         "command": "diagnose",
         "settings": settings,

@@ -19,9 +19,10 @@ from dropo.core.services.tables import number, steps_text
 from dropo.core.services.validation import Array, known, require
 from dropo.data.outliers.without_disturbances import WithoutDisturbances, without_disturbances
 from dropo.diagnosis.far_off.search import Explained, FarOffSearch, FarOffSettings
-from dropo.diagnosis.far_off.start import FarOffLimits, start_of, wiring_warnings
+from dropo.diagnosis.far_off.start import FarOffLimits, start_of
 from dropo.diagnosis.findings.causes import SETTINGS as CAUSES
 from dropo.diagnosis.findings.causes import causes, covariance_of, leaders, suspects
+from dropo.diagnosis.findings.detectable import Detectable, DetectableSettings, detectable
 from dropo.diagnosis.findings.disturbances import left_out, outlier_runs
 from dropo.diagnosis.findings.every_horizon import (
     Beyond,
@@ -40,16 +41,19 @@ from dropo.diagnosis.findings.horizons import (
     signal_noise,
     with_numbers,
 )
+from dropo.diagnosis.findings.miswired import miswired
 from dropo.diagnosis.findings.motion import motion
 from dropo.diagnosis.findings.not_identifiable import undetermined
 from dropo.diagnosis.findings.numerics import numerics, refused_delay, short_delay
 from dropo.diagnosis.findings.remaining import remaining
 from dropo.diagnosis.findings.replay import Replay, replay
 from dropo.diagnosis.findings.stability import stability
+from dropo.diagnosis.findings.still import Held, hold_still
 from dropo.diagnosis.findings.unexplained_forces import impulses, without_impulses
 from dropo.diagnosis.laws.discovery import LawSettings, WithLaws, find_laws
 from dropo.diagnosis.parts import Cause, Leader, Remaining
 from dropo.diagnosis.regression.quick import QuickSettings
+from dropo.diagnosis.regression.wiring import Wiring, WiringSettings, wiring_of
 from dropo.diagnosis.result import Diagnosis, HeldOut
 from dropo.diagnosis.search.arithmetic import Arithmetic, Rivals
 from dropo.diagnosis.search.bounds import at_bounds
@@ -90,8 +94,13 @@ class DiagnosisSettings:
         When the sensors' noise is not taken to be white.
     horizons : EveryHorizonSettings
         When errors after a horizon that is printed speak against an effect, or the verdict.
+    detectable : DetectableSettings
+        How it is found what the data of a consistent model would have shown.
     laws : LawSettings
         How laws are looked for in what known effects leave unexplained.
+    wiring : WiringSettings or None
+        When signs, units and places of columns are wrong: that is the finding then, and nothing
+        else is looked for. Never if None.
     far_off : FarOffLimits or None
         From when on the search is that for models that are far off; never if None.
     regression : QuickSettings
@@ -105,6 +114,7 @@ class DiagnosisSettings:
     """
 
     windows: int = 96
+    wiring: WiringSettings | None = field(default_factory=WiringSettings)
     far_off: FarOffLimits | None = field(default_factory=FarOffLimits)
     regression: QuickSettings = field(default_factory=QuickSettings)
     motions: FarOffSettings = field(default_factory=FarOffSettings)
@@ -114,6 +124,7 @@ class DiagnosisSettings:
     window_length: WindowLengthSettings = field(default_factory=WindowLengthSettings)
     noise: NoiseSettings = field(default_factory=NoiseSettings)
     horizons: EveryHorizonSettings = field(default_factory=EveryHorizonSettings)
+    detectable: DetectableSettings = field(default_factory=DetectableSettings)
     laws: LawSettings = field(default_factory=LawSettings)
 
 
@@ -198,9 +209,31 @@ class Diagnose:
         # The simulator's threads use the cores; products of small matrices gain nothing from more.
         with threadpool_limits(1, user_api="blas"):
             log = evaluation_log or EvaluationLog()
-            task = _Task(problem, problem, np.random.default_rng(rng), log)
-            found = self._run(task, progress)
+            wiring = self._wiring(problem, progress)
+            if wiring.faults and all(fault.evidence for fault in wiring.faults):
+                found = miswired(problem, wiring)
+            else:
+                doubts = tuple(fault.text for fault in wiring.faults)
+                held = hold_still(problem)
+                data = problem if held is None else held.problem
+                task = _Task(data, data, np.random.default_rng(rng), log, doubts, held)
+                found = self._run(task, progress)
+                if held is not None:
+                    found = held.restored(found, self._untold(held))
         return replace(found, wall_time_s=time.perf_counter() - begun, seed=seed)
+
+    def _wiring(self, problem: Problem, progress: Progress) -> Wiring:
+        """How the columns of the data are to be read, where that is asked for."""
+        if self.settings.wiring is None:
+            return Wiring(())
+        progress(0.0, "signs, units and places of the data's columns")
+        return wiring_of(problem, self.settings.wiring)
+
+    def _untold(self, held: Held) -> list[EffectInstance]:
+        """The effects that would be looked for at joints that never move."""
+        free = _free(held.problem, self.parameters)
+        instances = instances_for(held.problem, self.effects, free)
+        return [instance for instance in instances if held.at(instance)]
 
     def baseline(self, problem: Problem) -> float:
         """Evaluate the model as it is, its declared parameters fitted; `run` starts there.
@@ -283,13 +316,15 @@ class Diagnose:
         log = log or EvaluationLog()
         return Selection(library, floor, progress, self.settings.selection, log)
 
-    def _set_up(self, problem: Problem, progress: Progress, log: EvaluationLog) -> "_Setup":
+    def _set_up(self, task: "_Task", progress: Progress) -> "_Setup":
         """Everything that may be wrong, and the data to find it in."""
+        problem, log, wiring = task.data, task.log, task.wiring
         free = _free(problem, self.parameters)
-        wiring = wiring_warnings(problem)
         explained = self._explained(problem, free, wiring, progress, log)
         if explained is None:
             instances = instances_for(problem, self.effects, free)
+            if task.held is not None:
+                instances = [one for one in instances if not task.held.at(one)]
         else:
             problem = explained.model.problem
             instances = [instance for instance, _ in explained.model.numbers]
@@ -310,7 +345,7 @@ class Diagnose:
 
     def _run(self, task: "_Task", progress: Progress) -> Diagnosis:
         """The diagnosis of a problem, or of what is left of it without disturbances."""
-        setup = self._set_up(task.data, progress, task.log)
+        setup = self._set_up(task, progress)
         setup.selection.progress(0.0, "fitting the model as it is")
         setup = _with_noise_left(setup, task.before, self.settings.noise)
         disturbed = partial(self._without_disturbances, task)
@@ -405,9 +440,10 @@ class Diagnose:
         figures = figure_data(library, selection, first, last, reviews, forces, setup.count)
         shown = motion(data, library, first, last, fitted, with_causes)
         compared = self.disturbances and not (rest.calibrated or far_off) and complete
+        verdict = _verdict(found, not rest.calibrated)
         return Diagnosis(
             name=data.name,
-            verdict=_verdict(found, not rest.calibrated),
+            verdict=verdict,
             causes=found,
             suspects=suspects(selection, last, setup.count),
             leaders=(
@@ -419,6 +455,7 @@ class Diagnose:
             extended=HeldOut(per_step(last), with_causes),
             remaining=rest,
             problem=extended,
+            detectable=self._detectable(setup, searched, verdict),
             noise={
                 signal.name: float(size)
                 for signal, size in zip(simulator.signals, signal_noise(data, last), strict=True)
@@ -473,6 +510,18 @@ class Diagnose:
         if searched.laws is None and self._wants_laws(setup.library, searched.last, rest):
             return self._with_laws(setup, searched, rng)
         return None
+
+    def _detectable(
+        self, setup: "_Setup", searched: "_Searched", verdict: str
+    ) -> tuple[Detectable, ...]:
+        """The sizes of usual effects that the data of a consistent model would have shown."""
+        if verdict != "consistent" or searched.interrupted or setup.explained is not None:
+            return ()
+        selection = setup.selection.settings
+        settings = self.settings.detectable
+        instances = setup.instances
+        last = searched.last
+        return detectable(setup.library, last, instances, setup.count, selection, settings)
 
     def _with_laws(
         self, setup: "_Setup", searched: "_Searched", rng: np.random.Generator
@@ -637,6 +686,8 @@ class _Task:
 
     came: with the model as it came.
     problem: with all data, and the steps that the model has by now.
+    wiring: what does not fit in signs, units and names of commands, a sentence each.
+    held: the joints that never move.
     undisturbed: what is left of it where disturbances were found.
     before: the model by which they were found.
     spent: simulator steps so far.
@@ -646,6 +697,8 @@ class _Task:
     problem: Problem
     rng: np.random.Generator
     log: EvaluationLog
+    wiring: tuple[str, ...] = ()
+    held: Held | None = None
     undisturbed: WithoutDisturbances | None = None
     before: State | None = None
     spent: int = 0

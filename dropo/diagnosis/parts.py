@@ -212,6 +212,8 @@ class Cause:
         The text of a law, whose constants are in `estimate`, else "".
     called : str
         The nearest law that has a name, such as "quadratic drag"; "" where it is not known.
+    to_change : str
+        Of columns that are not what the model takes them for: what to change, else "".
     """
 
     effect: str
@@ -228,6 +230,7 @@ class Cause:
     stability: Stability | None = None
     formula: str = ""
     called: str = ""
+    to_change: str = ""
 
     @property
     def place(self) -> str:
@@ -243,6 +246,8 @@ class Cause:
     def to_json(self, rank: int) -> dict[str, Any]:
         """As diagnosis.json has it; rank: its place among the causes, from 1."""
         law = {"formula": self.formula, "called": self.called} if self.formula else {}
+        if self.to_change:
+            law = {"to_change": self.to_change}
         return {
             "effect": self.effect,
             "target": self.target,
@@ -280,6 +285,7 @@ class Cause:
             stability=None if stability is None else Stability.from_json(stability),
             formula=saved.get("formula", ""),
             called=saved.get("called", ""),
+            to_change=saved.get("to_change", ""),
         )
 
 
@@ -396,7 +402,7 @@ class Remaining:
     calibrated : bool
         Whether nothing is.
     p_value : float
-        Of the stronger of the tests for forces and for structure.
+        Of the stronger of the tests for forces and for structure; NaN where nothing was tested.
     where : tuple of str
         In which signals, joints and regime, in words.
     forces : mapping of str to float
@@ -413,7 +419,7 @@ class Remaining:
         """As diagnosis.json has it."""
         return {
             "calibrated": self.calibrated,
-            "p_value": self.p_value,
+            "p_value": number_or_null(self.p_value),
             "where": list(self.where),
             "forces": dict(self.forces),
         }

@@ -13,10 +13,12 @@ from dropo.core.records.predictions import Predictions
 from dropo.core.services.atomic_write import write_json
 from dropo.core.services.tables import Report, Table, number, steps_text
 from dropo.data.outliers.outlier_runs import OutlierRun
+from dropo.diagnosis.findings.detectable import Detectable, detectable_table
 from dropo.diagnosis.findings.disturbances import LeftOut
 from dropo.diagnosis.findings.horizons import Horizon
 from dropo.diagnosis.findings.replay import Replay
 from dropo.diagnosis.parts import Cause, Leader, Remaining, Suspect, are_stated
+from dropo.diagnosis.regression.result import WiringFault, fault_table
 
 VERDICTS = {
     "consistent": "The simulation explains the data: nothing is missing that they could show.",
@@ -24,6 +26,11 @@ VERDICTS = {
     "partly": "Something remains unexplained.",
     "unexplained": "Something is missing from the simulation, and no known effect explains it.",
 }
+
+MISWIRED = (
+    "Nothing else was looked for: with columns that mean something else, no search tells what is "
+    "missing. Mend this and diagnose again; extended/ has the columns of the data read right."
+)
 
 INTERRUPTED = (
     "Interrupted: these are the causes so far; what else the data show was not looked for to the"
@@ -101,6 +108,11 @@ class Diagnosis(Report):
         What figures are drawn from.
     motion : Predictions or None
         Measured and simulated motion.
+    detectable : tuple of Detectable
+        Where the model is consistent, the size of each usual effect that the data would have shown.
+    faults : tuple of WiringFault
+        Columns that are not what the model takes them for; the search ended there, and each is a
+        cause.
     warnings : tuple of str
         What is unusual in the data.
     seed : int or None
@@ -133,6 +145,8 @@ class Diagnosis(Report):
     replay: Replay | None = None
     figures: FigureData | None = None
     motion: Predictions | None = None
+    detectable: tuple[Detectable, ...] = ()
+    faults: tuple[WiringFault, ...] = ()
     warnings: tuple[str, ...] = ()
     seed: int | None = None
     simulator_steps: int = 0
@@ -174,6 +188,8 @@ class Diagnosis(Report):
 
     def headline(self) -> str:
         """The finding in a few sentences."""
+        if self.faults:
+            return " ".join([*(fault.sentences for fault in self.faults), MISWIRED])
         sentences = [self._error_sentence()] if self.baseline.horizons else []
         for cause in self.causes:
             sentences += _cause_sentences(cause, stated=cause in self.stated)
@@ -265,6 +281,7 @@ class Diagnosis(Report):
                 {**cause.to_json(i + 1), "stated": cause in self.stated}
                 for i, cause in enumerate(self.causes)
             ],
+            **({"faults": [asdict(fault) for fault in self.faults]} if self.faults else {}),
             "suspects": [suspect.to_json() for suspect in self.suspects],
             "leaders": [leader.to_json() for leader in self.leaders],
             "alternatives": self.alternatives(),
@@ -279,6 +296,7 @@ class Diagnosis(Report):
             "parameters": dict(self.parameters),
             "nominal": {"horizons": [horizon.to_json() for horizon in self.nominal]},
             "undetermined": list(self.undetermined),
+            "detectable": [one.to_json() for one in self.detectable],
             "numerics": list(self.numerics),
             "warnings": list(self.warnings),
             "seed": self.seed,
@@ -306,8 +324,12 @@ class Diagnosis(Report):
     def parts(self) -> list[str | Table]:
         """The headline, the errors by horizon, and what else is to be said, a line each."""
         lines: list[str | Table] = [self.headline()]
+        if self.faults:
+            lines.append(fault_table(self.faults))
         if self.baseline.horizons:
             lines.append(self._error_table())
+        if self.detectable:
+            lines.append(detectable_table(self.detectable))
         if self.replay:
             lines.append(self.replay.table())
             lines += [f"  {one}" for one in self.replay.odd()]

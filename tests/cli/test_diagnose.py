@@ -4,6 +4,7 @@ import json
 import os
 import signal
 
+import numpy as np
 import pytest
 
 from dropo.cli.main import main
@@ -12,6 +13,7 @@ from dropo.problems.file.writer import write_problem
 from dropo.problems.loading import load
 from dropo.problems.measured.external_data import find_data
 from tests.models.hidden_in_arm import problem
+from tests.models.wiring import log_of, read_otherwise, scaled
 
 MEASURED = find_data("swinging-pendulum/runs.npz") is not None
 SOME = ["--effects", "joint_damping", "joint_friction", "actuator_gain"]
@@ -133,3 +135,36 @@ def test_refusals_end_with_2(damped, tmp_path, capsys):
         assert main(["diagnose", *arguments]) == 2, arguments
         assert told in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == [taken]
+
+
+def test_columns_that_mean_something_else(tmp_path, capsys):
+    """A turned angle: status 0, the cause in print and in JSON, a problem with the column turned
+    back, and a page.
+    """
+    log = log_of("arm, 3 joints", np.random.default_rng(7))
+    path = write_problem(read_otherwise(log, angles=scaled(1, -1)), tmp_path / "log")
+    out = tmp_path / "out"
+    assert main(["diagnose", str(path), "--out", str(out)]) == 0
+    printed = capsys.readouterr().out
+    assert "'joint1' has the wrong sign" in printed
+    assert "error removed" in printed
+    kept = json.loads((out / "diagnosis.json").read_text())
+    assert [(one["effect"], one["target"]) for one in kept["causes"]] == [("sign", "joint1")]
+    mended = load(out / kept["extended_problem"]).trajectories.observations[:, :3]
+    np.testing.assert_allclose(mended, log.trajectories.observations, atol=1e-9)
+    assert main(["report", str(out)]) == 0
+    assert "sign: -1" in (out / "report.html").read_text()
+
+
+def test_columns_are_taken_as_they_are(damped, tmp_path, monkeypatch):
+    """With `--wiring off` nobody asks what they mean, and run.json says so."""
+
+    def asked(*given):
+        raise AssertionError("columns were looked at")
+
+    monkeypatch.setattr("dropo.diagnosis.diagnose.wiring_of", asked)
+    out = tmp_path / "out"
+    few = ["--effects", "joint_damping:elbow", "--steps", "5", "--disturbances", "off", "--quiet"]
+    assert main(["diagnose", str(damped), *few, "--wiring", "off", "--out", str(out)]) == 0
+    assert result(out)["causes"][0]["target"] == "elbow"
+    assert json.loads((out / "run.json").read_text())["settings"]["wiring"] == "off"

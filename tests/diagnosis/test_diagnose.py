@@ -63,6 +63,7 @@ BESIDE = {
     "pictures",
     "nominal",
     "undetermined",
+    "detectable",
     "numerics",
     "window_steps",
     "disturbances",

@@ -125,7 +125,7 @@ def changed(problem, angles=None, commands=None):
     ("kind", "target", "angles", "commands"),
     [
         ("sign", "joint1", lambda rows: rows * [1, -1, 1], None),
-        ("unit factor", "joint0", None, lambda rows: rows * [180 / np.pi, 1, 1]),
+        ("unit_factor", "joint0", None, lambda rows: rows * [180 / np.pi, 1, 1]),
         ("exchange", "joint0, joint2", None, lambda rows: rows[:, [2, 1, 0]]),
     ],
 )

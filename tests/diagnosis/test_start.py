@@ -9,11 +9,10 @@ import pytest
 from dropo.core.contracts.effect import instances_of
 from dropo.diagnosis.diagnose import Diagnose
 from dropo.diagnosis.far_off.model import FarOffModel
-from dropo.diagnosis.far_off.start import FarOffLimits, Start, start_of, wiring_warnings
+from dropo.diagnosis.far_off.start import FarOffLimits, Start, start_of
 from dropo.diagnosis.regression.quick import QuickSettings, sides
 from dropo.mjmodel.fields import FieldParameter
 from dropo.problems.file.estimated_velocities import with_velocities
-from dropo.problems.panda.sliding import sliding
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 from dropo.studies.first_models.machines import problem_of
 from dropo.studies.first_models.strangers import stranger
@@ -125,17 +124,3 @@ def test_a_regression_that_motions_contradict_is_corrected(monkeypatch):
     )
     found = Diagnose(length=5, windows=24, disturbances=False).run(problem)
     assert [(one.effect, one.target) for one in found.causes] == [("joint_armature", "elbow")]
-
-
-def test_wiring_is_warned_of(recording):
-    """Exchanged commands are said; right ones are not."""
-    _, spec, data = recording
-    problem = problem_of(DESIGN, spec, data)
-    assert wiring_warnings(problem) == ()
-    exchanged = replace(problem, trajectories=replace(data, actions=data.actions[:, [2, 1, 0]]))
-    assert "exchanged" in wiring_warnings(exchanged)[0]
-
-
-def test_a_position_that_is_not_observed_is_no_fault():
-    """Wiring cannot be checked then, and nothing is said of it: neither a fault nor a traceback."""
-    assert wiring_warnings(sliding(threads=1)) == ()

@@ -19,8 +19,12 @@ def deviation(errors: Array) -> Array:
     Returns
     -------
     (p,) array
+        NaN of columns of NaN alone.
     """
-    return np.asarray(NORMAL * np.nanmedian(np.abs(errors), axis=0))
+    found = np.full(errors.shape[1:], np.nan)
+    there = ~np.isnan(errors).all(axis=0)
+    found[there] = NORMAL * np.nanmedian(np.abs(errors[:, there]), axis=0)
+    return found
 
 
 def student_t_weights(squares: Array, size: int, degrees: float) -> Array:

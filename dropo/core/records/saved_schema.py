@@ -270,6 +270,7 @@ class SavedCause(Saved):
     stability: SavedStability | None = None
     formula: str = ""
     called: str = ""
+    to_change: str = ""
 
 
 class SavedSuspect(Saved):
@@ -410,6 +411,40 @@ class SavedFinding(Saved):
     wall_time_s: float
 
 
+class SavedDetectable(Saved):
+    """The size of an effect that the data would have shown."""
+
+    effect: str
+    target: str | None
+    variant: str
+    quantity: str
+    unit: str
+    size: Known
+
+
+class SavedEvidence(Saved):
+    """How much of the forces a fault explains."""
+
+    removed: float
+    gain: float
+    gain_se: float
+    before: float
+    after: float
+    p_value: float
+
+
+class SavedFault(Saved):
+    """Commands or angles that do not mean what the model takes them for."""
+
+    kind: str
+    target: str
+    text: str
+    of: str = ""
+    factor: float | None = None
+    to_change: str = ""
+    evidence: SavedEvidence | None = None
+
+
 class SavedDiagnosis(SavedFinding):
     """The content of diagnosis.json of a search by simulation."""
 
@@ -424,15 +459,9 @@ class SavedDiagnosis(SavedFinding):
     disturbances: SavedLeftOut | None = None
     undetermined: Texts = []
     numerics: Texts = []
+    faults: list[SavedFault] = []
+    detectable: list[SavedDetectable] = []
     pictures: FigureData | None = None
-
-
-class SavedFault(Saved):
-    """Commands or angles that do not mean what the model takes them for."""
-
-    kind: str
-    target: str
-    text: str
 
 
 class SavedForces(Saved):

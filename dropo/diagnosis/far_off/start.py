@@ -16,9 +16,8 @@ from dropo.diagnosis.regression.quick import (
     QuickSettings,
     estimate_missing,
     fixed_numbers,
-    sides,
 )
-from dropo.diagnosis.regression.wiring import wiring_faults
+from dropo.diagnosis.regression.readings import sides
 from dropo.diagnosis.search.library import changed_parameters, declared, robot_of
 from dropo.mjmodel.robot_simulator import RobotSimulator
 
@@ -137,23 +136,3 @@ def _gain(simulator: RobotSimulator, free: Ints, numbers: ActiveEffects) -> Acti
         return ()
     # What acts on all of them stands behind the single ones.
     return ((every[-1], np.zeros(1)),)
-
-
-def wiring_warnings(problem: Problem) -> tuple[str, ...]:
-    """Say which signs, units and names of commands do not fit the joints that should follow them.
-
-    Parameters
-    ----------
-    problem : Problem
-        Any.
-
-    Returns
-    -------
-    tuple of str
-        A sentence each; none where the robot does not suit a regression.
-    """
-    try:
-        faults = wiring_faults(robot_of(problem), problem.trajectories)
-    except (Incompatible, BadArgument):
-        return ()
-    return tuple(fault.text for fault in faults)

@@ -12,9 +12,17 @@ from dropo.core.numerics.robust_covariance import few_units_sandwich
 from dropo.core.numerics.tails import student_tail
 from dropo.core.services.tables import number
 from dropo.core.services.validation import Array
-from dropo.diagnosis.findings.experiment import experiment
+from dropo.diagnosis.findings.experiment import Experiment, experiment
 from dropo.diagnosis.laws.discovery import FoundLaw
-from dropo.diagnosis.parts import Alternative, Cause, Estimate, Leader, Stability, Suspect
+from dropo.diagnosis.parts import (
+    Alternative,
+    Cause,
+    Estimate,
+    Leader,
+    Stability,
+    Suspect,
+    effect_in_words,
+)
 from dropo.diagnosis.search.confirmation import SETTINGS as SELECTION
 from dropo.diagnosis.search.confirmation import SelectionSettings, gain_by_block, gain_of
 from dropo.diagnosis.search.invariance import invariance, standing_out
@@ -229,8 +237,9 @@ def _alternatives(
         if found.origin is not None:
             regime = _difference(library, found.origin.before, own, other)
         to_tell: str | None = None
-        if proposed is not None and proposed.seconds < settings.patience:
-            to_tell = f"record {number(proposed.seconds, 2)} s of {proposed}"
+        patience = settings.patience
+        if proposed is not None and min(proposed.seconds, proposed.more_seconds) < patience:
+            to_tell = _proposal(proposed, instance, other.instance)
         elif regime:
             to_tell = f"record more {regime}"
         effect = other.instance
@@ -239,6 +248,20 @@ def _alternatives(
     for name in instance.alike:
         alternatives.append(Alternative(name, None, "", "the same in any recorded data"))
     return tuple(alternatives)
+
+
+def _proposal(proposed: Experiment, one: EffectInstance, other: EffectInstance) -> str:
+    """What to record, and by how much that tells two effects apart."""
+    places = [effect_in_words(each.effect, each.target, each.variant) for each in (one, other)]
+    if not proposed.is_better:
+        seconds = number(proposed.more_seconds, 2)
+        nats = number(proposed.settings.distinct, 2)
+        return (
+            f"record {seconds} s more of motion like the recorded (no smooth motion within the "
+            f"limits tells more); that tells {places[0]} from {places[1]} by about {nats} nats"
+        )
+    nats = number(proposed.times * proposed.nats, 2)
+    return f"record this: {proposed}; that tells {places[0]} from {places[1]} by about {nats} nats"
 
 
 def _difference(library: Library, before: State, one: Candidate, two: Candidate) -> str | None:

@@ -1,49 +1,77 @@
-"""The commands under which two effects differ most that the recorded data cannot distinguish.
+"""The motion under which two effects differ most that the recorded data cannot distinguish.
 
-Candidate commands are simulated under both effects.
+Smooth motions of several periods are simulated under both effects, at sizes at which positions,
+velocities and forces stay within what was recorded and what the robot can do.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dropo.core.contracts.effect import EffectInstance
 from dropo.core.records.trajectories import Segments, Trajectories
+from dropo.core.services.errors import Incompatible
+from dropo.core.services.tables import number
 from dropo.core.services.validation import Array
 from dropo.diagnosis.search.linearization import Library
 from dropo.diagnosis.search.trials import State
 from dropo.evaluation.open_loop import open_loop
+from dropo.mjmodel.dynamics.forces import force_limit, linear_drives, motors
+from dropo.mjmodel.joints import joints
 from dropo.mjmodel.robot_simulator import RobotSimulator
+from dropo.simulators.mujoco.layers import clamp, control_ranges
 
-FULL = 1.0
-HALF = 0.5
+SINES = ((1.0, 1.0, 0.0), (0.61, 0.7, 2.1), (0.37, 0.5, 4.4))
+"""Of each sine of a sum: its period, in those of the slowest, its size, and its phase [rad]."""
+LEVELS = (1.0, -0.5, 0.5, -1.0, 0.25, -0.75)
+"""The levels of steps, which are repeated."""
+Limits = tuple[Array, Array]
+"""Lower and upper ends."""
 
 
 @dataclass(frozen=True)
 class ExperimentSettings:
-    """Which experiments are tried.
+    """Which motions are tried, and within which limits.
 
     Attributes
     ----------
-    length : int
-        Control steps of a simulated experiment.
-    starts : int
-        Measured starts from which each is simulated.
-    periods : tuple of int
-        Periods of sine and square waves [control steps].
+    periods : tuple of float
+        Slowest periods of sums of sines, and for how long steps hold [s].
+    smooth : int
+        Control steps that such a period has at least.
+    repeats : int
+        How many of these periods a motion has at least ...
+    windows : int
+        ... and how many windows, as long as those of the data.
     amplitudes : tuple of float
-        Fractions of the largest command in the data, about their median.
-    margin : float
-        By how much signals may leave the recorded range, as a fraction of it.
+        Fractions of the largest command in the data, about their median; the largest that stays
+        within all limits is taken.
+    starts : int
+        Measured starts near the median from which each is simulated.
+    recorded : float
+        By how much positions, velocities and forces may leave the recorded range, as a fraction of
+        it.
+    joint : float
+        The margin to each end of a joint's range, as a fraction of it.
+    command : float
+        The same of an actuator's ctrlrange.
+    force : float
+        The same of its forcerange.
     distinct : float
         Difference in log-likelihood that distinguishes two effects [nats].
     """
 
-    length: int = 50
-    starts: int = 4
-    periods: tuple[int, ...] = (4, 10, 25, 50)
-    amplitudes: tuple[float, ...] = (HALF, FULL)
-    margin: float = 0.25
+    periods: tuple[float, ...] = (0.25, 0.5, 1.0, 2.0)
+    smooth: int = 24
+    repeats: int = 5
+    windows: int = 10
+    amplitudes: tuple[float, ...] = (1.0, 0.5, 0.25, 0.1)
+    starts: int = 2
+    recorded: float = 0.1
+    joint: float = 0.02
+    command: float = 0.02
+    force: float = 0.05
     distinct: float = 10.0
 
 
@@ -52,26 +80,31 @@ SETTINGS = ExperimentSettings()
 
 @dataclass(frozen=True)
 class Experiment:
-    """Commands to record.
+    """A motion to record.
 
     Attributes
     ----------
     of : str or None
         The actuator that moves; None for all.
-    shape : {"constant", "sine", "square"}
+    shape : {"sines", "steps"}
         Of the command over time.
     period : float
-        [s]; 0 for a constant command.
+        The slowest of a sum of sines, or for how long a step holds [s].
     amplitude : float
         Fraction of the largest command in the data.
     step : float
         The control step [s].
+    steps : int
+        Control steps of the whole motion.
+    reach : float
+        By how much the command leaves its median at most, in the actuator's unit; the largest where
+        all move.
     nats : float
-        By how much the two effects differ in `settings.length` control steps of it.
+        By how much the two effects differ in it.
     now : float
         By how much they differ in as many steps of the data.
     settings : ExperimentSettings
-        How it was simulated.
+        How it was chosen.
     """
 
     of: str | None
@@ -79,26 +112,45 @@ class Experiment:
     period: float
     amplitude: float
     step: float
+    steps: int
+    reach: float = 0.0
     nats: float = 0.0
     now: float = 0.0
     settings: ExperimentSettings = SETTINGS
 
     def __str__(self) -> str:
-        """Such as "a square wave on leg_joint, period 0.08 s, at half of the largest command"."""
-        where = self.of or "all actuators"
-        command = f"a constant command on {where}"
-        if self.period:
-            command = f"a {self.shape} wave on {where}, period {self.period:.3g} s"
-        half = "half of " if self.amplitude == HALF else ""
-        return f"{command}, at {half}the largest command recorded"
+        """Such as "6 s of a sum of three sines on m1 (periods 1, 0.61, 0.37 s), ..."."""
+        where = self.of or "all actuators, each a little later than the last"
+        if self.shape == "sines":
+            listed = ", ".join(number(self.period * share, 2) for share, _, _ in SINES)
+            motion = f"a sum of three sines on {where} (periods {listed} s)"
+        else:
+            held = number(self.period, 2)
+            motion = f"steps on {where} that change smoothly every {held} s"
+        reach = f"commands up to {number(self.reach, 2)} from their median"
+        return f"{number(self.seconds, 2)} s of {motion}, {reach}"
+
+    @property
+    def times(self) -> int:
+        """How often it is to be recorded to distinguish the two; 0 where it never does."""
+        return int(np.ceil(self.settings.distinct / self.nats)) if self.nats > 0 else 0
 
     @property
     def seconds(self) -> float:
-        """How much of it would distinguish the two, in whole control steps [s]."""
-        if not self.nats > 0:
+        """How long all of that takes [s]; infinite where it never distinguishes the two."""
+        return self.times * self.steps * self.step if self.times else np.inf
+
+    @property
+    def is_better(self) -> bool:
+        """Whether it tells more than as many steps of the data do."""
+        return self.nats > self.now
+
+    @property
+    def more_seconds(self) -> float:
+        """How much motion like that of the data distinguishes the two [s]."""
+        if not self.now > 0:
             return np.inf
-        repetitions = self.settings.distinct / self.nats
-        return self.step * max(1, int(np.ceil(repetitions * self.settings.length)))
+        return self.settings.distinct / self.now * self.steps * self.step
 
 
 def experiment(
@@ -109,7 +161,7 @@ def experiment(
     sizes: Array,
     settings: ExperimentSettings = SETTINGS,
 ) -> Experiment | None:
-    """Choose the commands under which an effect differs most from another.
+    """Choose the motion under which an effect differs most from another.
 
     Parameters
     ----------
@@ -122,13 +174,13 @@ def experiment(
     sizes : (q,) array
         Magnitudes of the other; the result does not depend on their scale.
     settings : ExperimentSettings
-        Which commands are tried.
+        Which motions are tried.
 
     Returns
     -------
     Experiment or None
-        None where there is nothing to command, or where predictions are no observations from which
-        a window could start.
+        None where there is nothing to command, where no motion stays within the limits, or where
+        predictions are no observations from which a window could start.
 
     Notes
     -----
@@ -152,91 +204,237 @@ def experiment(
 
     # What the recorded data say of the difference.
     recorded = _responses(library, thetas, windows.segments, sigma).reshape(2, 1, -1)
-    now = float(_difference(recorded)[0] * settings.length / windows.steps)
+    now = float(_difference(recorded)[0] / windows.steps)
 
-    # What each candidate says, from several measured starts.
-    names = simulator.action_names
-    step = simulator.control_step
-    tried = _candidates(names, step, settings)
-    rows = np.linspace(0, len(data) - 1, settings.starts).astype(int)
-    starts = np.tile(data.observations[rows], (len(tried), 1))
-    commands = np.repeat(_commands(data, tried, names, step, settings), settings.starts, axis=0)
-    simulated = _windows(library, last, starts, commands, settings)
-    responses = _responses(library, thetas, simulated, sigma).reshape(2, len(tried), -1)
-    nats = _difference(responses) / settings.starts
-    best = int(np.argmax(nats))
-    return replace(tried[best], nats=float(nats[best]), now=now)
+    # What each candidate says, from measured starts.
+    starts = _starts(data, settings)
+    best: Experiment | None = None
+    for group in _candidates(simulator, windows.length, settings):
+        admitted = _admitted(library, last, group, starts, settings)
+        for tried, commands, states in admitted:
+            segments = _windows(states, commands, windows.length)
+            responses = _responses(library, thetas, segments, sigma).reshape(2, 1, -1)
+            nats = float(_difference(responses)[0]) / len(starts)
+            if best is None or nats > best.nats:
+                best = replace(tried, nats=nats, now=now * tried.steps)
+    return best
+
+
+def _starts(data: Trajectories, settings: ExperimentSettings) -> Array:
+    """(k, p) the measured rows that are nearest to the median of all, as slow as it."""
+    middle = np.median(data.observations, axis=0)
+    spread = np.maximum(data.observations.std(axis=0), 1e-300)
+    far = np.sum(((data.observations - middle) / spread) ** 2, axis=1)
+    return data.observations[np.argsort(far)[: settings.starts]]
 
 
 def _candidates(
-    names: list[str], step: float, settings: ExperimentSettings = SETTINGS
-) -> list[Experiment]:
-    """Every shape, period and amplitude, on each actuator and on all of them."""
+    simulator: RobotSimulator, window: int, settings: ExperimentSettings = SETTINGS
+) -> list[list[Experiment]]:
+    """Every shape on each actuator and on all of them, by their period, at the largest commands."""
+    names = simulator.action_names
+    step = simulator.control_step
     actuators: list[str | None] = [*names]
     if len(names) > 1:
         actuators.append(None)
-    shapes = [("constant", 0.0)]
-    for shape in ("sine", "square"):
-        shapes += [(shape, period * step) for period in settings.periods]
-    return [
-        Experiment(actuator, shape, period, amplitude, step, settings=settings)
-        for actuator in actuators
-        for shape, period in shapes
-        for amplitude in settings.amplitudes
-    ]
+    shortest = settings.smooth * step
+    periods = sorted({max(period, shortest) for period in settings.periods})
+    found = []
+    for period in periods:
+        steps = max(settings.windows * window, int(np.ceil(settings.repeats * period / step)))
+        found.append(
+            [
+                Experiment(of, shape, period, 1.0, step, steps, settings=settings)
+                for of in actuators
+                for shape in ("sines", "steps")
+            ]
+        )
+    return found
 
 
-def _commands(
+def _admitted(
+    library: Library,
+    last: State,
+    tried: list[Experiment],
+    starts: Array,
+    settings: ExperimentSettings,
+) -> list[tuple[Experiment, Array, Array]]:
+    """Of motions of one length, each at the largest size that stays within all limits.
+
+    With its commands (k, T, q) and the states (k, T + 1, p) that the model predicts from k starts.
+    """
+    simulator = library.simulator
+    if not isinstance(simulator, RobotSimulator):
+        raise AssertionError("asked of robots alone")
+    data = last.train.windows.segments.trajectories
+    low, high = signal_limits(simulator, data, settings)
+    found = []
+    for amplitude in settings.amplitudes:
+        if not tried:
+            break
+        sized = [replace(one, amplitude=amplitude) for one in tried]
+        commands = commands_of(simulator, data, sized, settings)
+        every = np.repeat(commands, len(starts), axis=0)
+        states = open_loop(simulator, last.theta, np.tile(starts, (len(sized), 1)), every)
+        inside = np.isfinite(states).all(axis=(1, 2))
+        inside &= ((states >= low) & (states <= high)).all(axis=(1, 2))
+        inside &= _within_forces(simulator, data, states, every, settings)
+        good = inside.reshape(len(sized), len(starts)).all(axis=1)
+        middle = np.median(data.actions, axis=0)
+        for i in np.flatnonzero(good).tolist():
+            own = slice(i * len(starts), (i + 1) * len(starts))
+            reach = float(np.abs(commands[i] - middle).max())
+            found.append((replace(sized[i], reach=reach), every[own], states[own]))
+        tried = [tried[i] for i in np.flatnonzero(~good).tolist()]
+    return found
+
+
+def commands_of(
+    simulator: RobotSimulator,
     data: Trajectories,
     tried: list[Experiment],
-    names: list[str],
-    step: float,
     settings: ExperimentSettings = SETTINGS,
 ) -> Array:
-    """(candidates, length, q) about the median of the data's commands, none larger than theirs."""
+    """Return the commands of motions of one length.
+
+    Parameters
+    ----------
+    simulator : RobotSimulator
+        The robot.
+    data : Trajectories
+        What was recorded.
+    tried : list of Experiment
+        K motions of T control steps.
+    settings : ExperimentSettings
+        Margins.
+
+    Returns
+    -------
+    (K, T, q) array
+        About the median of the data's commands, none farther from it than theirs, and within the
+        actuators' ranges; each begins and ends at the median.
+    """
     middle = np.median(data.actions, axis=0)
     largest = np.abs(data.actions - middle).max(axis=0)
-    waves = [_wave(candidate, names, step, settings.length) for candidate in tried]
+    low, high = control_ranges(simulator.model)
+    low, high = low[simulator.controls], high[simulator.controls]
+    margin = np.where(np.isfinite(high - low), settings.command * (high - low), 0.0)
+    room = np.minimum(middle - (low + margin), (high - margin) - middle)
+    largest = np.minimum(largest, np.maximum(room, 0.0))
+    waves = [_wave(one, simulator.action_names) for one in tried]
     return np.stack([middle + largest * wave for wave in waves])
 
 
-def _wave(candidate: Experiment, names: list[str], step: float, length: int) -> Array:
-    """(length, q) between -1 and 1; where all actuators move, each a little later than the last."""
+def _wave(candidate: Experiment, names: list[str]) -> Array:
+    """(T, q) between -1 and 1, 0 at both ends; where all move, each a little later."""
     moves = np.array([candidate.of in (None, name) for name in names], dtype=float)
-    time = (np.arange(length)[:, None] + 0.5) * step
+    time = (np.arange(candidate.steps)[:, None] + 0.5) * candidate.step / candidate.period
+    whole = candidate.steps * candidate.step / candidate.period
     lag = np.arange(len(names)) / (2 * len(names)) * (candidate.of is None)
-    turn = np.sin(2 * np.pi * (time / (candidate.period or 1.0) + lag))
-    if candidate.shape == "constant":
-        turn = np.ones_like(turn)
-    elif candidate.shape == "square":
-        turn = np.where(turn >= 0, 1.0, -1.0)
-    return candidate.amplitude * moves * turn
+    if candidate.shape == "sines":
+        parts = [
+            size * np.sin(2 * np.pi * (time + lag) / share + phase) for share, size, phase in SINES
+        ]
+        wave = np.sum(parts, axis=0) / sum(size for _, size, _ in SINES)
+    else:
+        wave = _steps(time + lag)
+    ends = np.clip(np.minimum(time, whole - time), 0.0, 1.0)
+    return np.asarray(candidate.amplitude * moves * wave * _eased(ends))
 
 
-def _windows(
-    library: Library,
-    last: State,
-    starts: Array,
+def _steps(time: Array) -> Array:
+    """Levels that are held for a unit of time each, and change smoothly in its first half."""
+    levels = np.array([0.0, *LEVELS])
+    count = len(LEVELS)
+    place = np.floor(time).astype(int)
+    before = levels[np.where(place == 0, 0, (place - 1) % count + 1)]
+    after = levels[place % count + 1]
+    return np.asarray(before + (after - before) * _eased(np.minimum(2 * (time - place), 1.0)))
+
+
+def _eased(share: Array) -> Array:
+    """From 0 to 1 with no speed at either end."""
+    return np.asarray(0.5 - 0.5 * np.cos(np.pi * share))
+
+
+def signal_limits(
+    simulator: RobotSimulator, data: Trajectories, settings: ExperimentSettings = SETTINGS
+) -> Limits:
+    """Return the limits (p,) of the observed columns: as recorded, and within joints' ranges.
+
+    Parameters
+    ----------
+    simulator : RobotSimulator
+        The robot.
+    data : Trajectories
+        What was recorded.
+    settings : ExperimentSettings
+        Margins.
+
+    Returns
+    -------
+    low, high : (p,) arrays
+    """
+    low, high = data.observations.min(axis=0), data.observations.max(axis=0)
+    margin = settings.recorded * (high - low)
+    low, high = low - margin, high + margin
+    ranges = {joint.qpos: joint.range for joint in joints(simulator.model)}
+    for i, column in enumerate(simulator.layout.columns):
+        limits = ranges.get(column.place) if column.field == "qpos" else None
+        if limits is not None:
+            inside = settings.joint * (limits[1] - limits[0])
+            low[i] = max(low[i], limits[0] + inside)
+            high[i] = min(high[i], limits[1] - inside)
+    return low, high
+
+
+def _within_forces(
+    simulator: RobotSimulator,
+    data: Trajectories,
+    states: Array,
     commands: Array,
     settings: ExperimentSettings,
-) -> Segments:
-    """Windows of what the model predicts under the commands, as long as those of the data.
+) -> NDArray[np.bool_]:
+    """(n,) whether drives give no more than recorded and than they can, where that is known."""
+    model = simulator.model
+    recorded = _forces(simulator, data.observations, data.actions)
+    rows = states[:, :-1].reshape(-1, states.shape[2])
+    asked = _forces(simulator, rows, commands.reshape(len(rows), -1))
+    if recorded is None or asked is None:
+        return np.ones(len(states), dtype=bool)
+    most = (1 + settings.recorded) * np.abs(recorded).max(axis=0)
+    for joint, ids in motors(model):
+        limit = (1 - settings.force) * force_limit(model, ids)
+        most[joint.qvel] = min(most[joint.qvel], limit)
+    within = (np.abs(asked) <= most).all(axis=1)
+    return np.asarray(within.reshape(len(states), -1).all(axis=1))
 
-    Windows that would begin beyond what was recorded, or where the simulation diverges, begin at
-    the experiment's start instead, where they say no more than the first.
-    """
-    length = settings.length
-    states = open_loop(library.simulator, last.theta, starts, commands)[:, :-1]
-    recorded = last.train.windows.segments.trajectories.observations
-    margin = settings.margin * np.ptp(recorded, axis=0)
-    low = recorded.min(axis=0) - margin
-    high = recorded.max(axis=0) + margin
-    inside = ((states >= low) & (states <= high)).all(axis=2)
-    good = np.logical_and.accumulate(inside, axis=1)[:, :, None]
-    rows = np.where(good, states, starts[:, None]).reshape(-1, starts.shape[1])
-    ends = np.tile(np.arange(length) == length - 1, len(starts))
-    data = Trajectories(rows, commands.reshape(len(rows), -1), rows, ends)
-    return data.segments(min(last.train.windows.length, length), every_step=True)
+
+def _forces(simulator: RobotSimulator, rows: Array, actions: Array) -> Array | None:
+    """(n, nv) the drives' forces; None where the state or a drive's law is not known."""
+    model = simulator.model
+    column = {(one.field, one.place): i for i, one in enumerate(simulator.layout.columns)}
+    needed = [("qpos", i) for i in range(model.nq)] + [("qvel", i) for i in range(model.nv)]
+    if model.nq != model.nv or not all(place in column for place in needed):
+        return None
+    positions = rows[:, [column["qpos", i] for i in range(model.nq)]]
+    velocities = rows[:, [column["qvel", i] for i in range(model.nv)]]
+    commands = np.zeros((len(rows), model.nu))
+    commands[:, simulator.controls] = actions
+    try:
+        return linear_drives(model, positions, velocities).forces(clamp(commands, model))
+    except Incompatible:
+        return None
+
+
+def _windows(states: Array, commands: Array, length: int) -> Segments:
+    """Windows of what the model predicts under commands, as long as those of the data."""
+    rows = states[:, :-1].reshape(-1, states.shape[2])
+    after = states[:, 1:].reshape(-1, states.shape[2])
+    count = commands.shape[1]
+    ends = np.tile(np.arange(count) == count - 1, len(states))
+    data = Trajectories(rows, commands.reshape(len(rows), -1), after, ends)
+    return data.segments(min(length, count), every_step=True)
 
 
 def _responses(library: Library, thetas: Array, segments: Segments, sigma: Array) -> Array:

@@ -48,7 +48,7 @@ def fittable(
     Returns
     -------
     Problem or None
-        None without causes.
+        None without causes that have a size in the model.
     """
     if not causes:
         return None
@@ -59,6 +59,8 @@ def fittable(
         cause = named.get((instance.effect, instance.target, instance.variant))
         if cause is not None:
             free.append(_bounded(instance, sizes, cause, settings))
+    if not free:
+        return None
     return replace(problem, simulator=robot.with_fitted(free))
 
 

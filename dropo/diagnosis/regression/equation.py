@@ -56,6 +56,8 @@ class EquationSettings:
     still_noise : float
         A joint also rests where it is slower than this many standard deviations of the speed's
         noise.
+    stuck : float
+        Speed below which a joint rests in any case [rad/s, m/s].
     sticks : float
         A row is dropped for a joint that rests for this fraction of the second kernel.
     share : float
@@ -82,6 +84,7 @@ class EquationSettings:
     stretch: float = 2.2
     still: float = 0.05
     still_noise: float = 4.0
+    stuck: float = 1e-9
     sticks: float = 0.1
     share: float = 0.05
     slow: float = 0.02
@@ -360,12 +363,8 @@ class Log:
             )
         columns = [place[i] for i in range(model.nq)]
         self.positions: list[Array] = []
-        self.commands: list[Array] = []
-        fixed = [
-            (instance, magnitudes)
-            for instance, magnitudes in simulator.fixed
-            if instance.command is not None or instance.actuation is not None
-        ]
+        self.logged: list[Array] = []
+        self._simulator = simulator
         for start, stop in trajectories.spans:
             rows = trajectories.observations[start:stop]
             last = trajectories.next_observations[stop - 1 : stop]
@@ -373,11 +372,22 @@ class Log:
             commands = np.zeros((stop - start + 1, model.nu))
             commands[:-1, simulator.controls] = trajectories.actions[start:stop]
             commands[-1] = commands[-2]
-            commands = clamp(commands, model)
-            if fixed:
-                fine = change_commands(commands, model, simulator.frame_skip, fixed)
-                commands = fine.reshape(len(commands), simulator.frame_skip, model.nu).mean(axis=1)
-            self.commands.append(commands)
+            self.logged.append(commands)
+        self.commands = [self.given(commands) for commands in self.logged]
+
+    def given(self, commands: Array) -> Array:
+        """What the model makes of commands (n, nu): within their ranges, with its own effects."""
+        simulator, model = self._simulator, self._simulator.model
+        fixed = [
+            (instance, magnitudes)
+            for instance, magnitudes in simulator.fixed
+            if instance.command is not None or instance.actuation is not None
+        ]
+        commands = clamp(commands, model)
+        if fixed:
+            fine = change_commands(commands, model, simulator.frame_skip, fixed)
+            commands = fine.reshape(len(commands), simulator.frame_skip, model.nu).mean(axis=1)
+        return commands
 
     def _continued(self, rows: Array) -> Array:
         """Positions (n, nq) whose quaternions do not change their sign from row to row."""
@@ -550,6 +560,7 @@ def _stretch_equation(
         forces.append(drives.forces(late))
     noise = log.noise * np.sqrt(np.sum(kernels[1] ** 2))
     still_speed = np.maximum(settings.still * speed, settings.still_noise * noise)
+    still_speed = np.maximum(still_speed, settings.stuck)  # of a joint that never moves
     still = np.abs(velocity) < still_speed
     # Dry friction acted before the first kernel: it passes that kernel as all other forces did.
     sign = np.tanh(velocity / np.maximum(settings.slow * speed, 1e-300))

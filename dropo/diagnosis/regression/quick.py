@@ -18,10 +18,12 @@ from dropo.core.numerics.tails import student_tail
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import BadArgument
 from dropo.core.services.validation import Array, require
+from dropo.diagnosis.findings.still import still_sentences
 from dropo.diagnosis.parts import Alternative, Cause, Estimate
 from dropo.diagnosis.regression.choice import BlockTables, ChoiceSettings, Chooser
 from dropo.diagnosis.regression.equation import Equation, EquationSettings, equation_of
 from dropo.diagnosis.regression.fit import GAIN, FitSettings, Fitter, Solution, root_mean_square
+from dropo.diagnosis.regression.readings import sides
 from dropo.diagnosis.regression.resimulation import ResimulationSettings, resimulated
 from dropo.diagnosis.regression.result import JointForces, QuickDiagnosis
 from dropo.diagnosis.regression.terms import Term, terms_of
@@ -130,11 +132,12 @@ class QuickDiagnose:
     def _run(self, problem: Problem) -> QuickDiagnosis:
         simulator = robot_of(problem)
         fitted, checked = sides(problem, self.settings.checked)
-        faults = wiring_faults(simulator, fitted)
+        faults = wiring_faults(problem)
         estimate = estimate_missing(problem, fitted, self.settings)
         estimate = _with_bias(problem, fitted, estimate, self.settings)
         causes = [] if faults else self._causes(simulator, estimate)
-        warnings = [*problem.warnings, *_warnings(simulator, estimate)]
+        still = still_sentences(problem)
+        warnings = [*problem.warnings, *still, *_warnings(simulator, estimate)]
         try:
             equation = equation_of(
                 problem, checked, self.settings.equation, width=estimate.fitter.equation.width
@@ -605,33 +608,6 @@ def _with_bias(
     begun = replace(solution, weights=own.weights, spread=own.spread)
     bias = _values(fitter.refined(fitter.solve(begun))) - _values(solution)
     return replace(estimate, errors=np.hypot(estimate.errors, bias))
-
-
-def sides(problem: Problem, checked: float) -> tuple[Trajectories, Trajectories]:
-    """Divide a problem's data into those that are fitted and those held out.
-
-    Parameters
-    ----------
-    problem : Problem
-        Any. The data that it holds out itself are held out.
-    checked : float
-        Else this fraction of the runs, or of the end of each where there are few.
-
-    Returns
-    -------
-    fitted, held_out : Trajectories
-    """
-    data = problem.trajectories
-    if problem.held_out is not None:
-        return data, problem.held_out
-    every = round(1 / checked)
-    is_held_out = np.zeros(len(data), dtype=bool)
-    for number, (start, stop) in enumerate(data.spans):
-        if len(data.spans) < every:
-            is_held_out[stop - round(checked * (stop - start)) : stop] = True
-        elif number % every == every - 1:
-            is_held_out[start:stop] = True
-    return data.rows(np.flatnonzero(~is_held_out)), data.rows(np.flatnonzero(is_held_out))
 
 
 def fixed_numbers(simulator: RobotSimulator, estimate: Missing) -> ActiveEffects:

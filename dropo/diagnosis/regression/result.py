@@ -1,9 +1,9 @@
 """What a diagnosis by regression found."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from dropo.core.contracts.problem import Problem
 from dropo.core.services.atomic_write import write_json
@@ -19,22 +19,120 @@ VERDICTS = {
 
 
 @dataclass(frozen=True)
+class Evidence:
+    """How much of the forces a fault explains, on data held out.
+
+    Attributes
+    ----------
+    removed : float
+        The fraction of the squared unexplained force, at the joints that it names, that is gone
+        once the columns are read right.
+    gain, gain_se : float
+        The same [nats per row of the equation of motion], and its standard error over blocks.
+    before, after : float
+        Root mean square of the unexplained force, as a fraction of the joints' forces.
+    p_value : float
+        Of the gain, for all readings that were tried.
+    """
+
+    removed: float
+    gain: float
+    gain_se: float
+    before: float
+    after: float
+    p_value: float
+
+
+@dataclass(frozen=True)
 class WiringFault:
     """Commands or angles that do not mean what the model takes them for.
 
     Attributes
     ----------
-    kind : {"sign", "unit factor", "exchange"}
+    kind : {"sign", "unit_factor", "exchange", "torque_command"}
         What is wrong.
     target : str
-        The joint, or the two that are exchanged.
+        The joint, or those that are exchanged or share a unit.
     text : str
         A sentence.
+    of : {"angle", "command", ""}
+        Whose column is wrong; empty where either explains the same.
+    factor : float or None
+        What it is to be multiplied by, where its unit is another.
+    to_change : str
+        What to change in the mapping, the data or the model; empty where that is not known.
+    evidence : Evidence or None
+        None where the forces of the log cannot be computed.
     """
 
     kind: str
     target: str
     text: str
+    of: str = ""
+    factor: float | None = None
+    to_change: str = ""
+    evidence: Evidence | None = None
+
+    @property
+    def sentences(self) -> str:
+        """What is wrong, how much of the error that is, and what to change."""
+        told = [self.text]
+        if self.evidence is not None:
+            told.append(
+                f"Read right, {self.evidence.removed:.1%} of the squared error of the forces there "
+                "is gone on data held out."
+            )
+        if self.to_change:
+            told.append(f"To mend it, {self.to_change}")
+        return " ".join(told)
+
+    @classmethod
+    def from_json(cls, saved: Mapping[str, Any]) -> Self:
+        """What `dataclasses.asdict` gave."""
+        evidence = saved.get("evidence")
+        return cls(
+            kind=saved["kind"],
+            target=saved["target"],
+            text=saved["text"],
+            of=saved.get("of", ""),
+            factor=saved.get("factor"),
+            to_change=saved.get("to_change", ""),
+            evidence=None if evidence is None else Evidence(**evidence),
+        )
+
+
+def fault_table(faults: Sequence[WiringFault]) -> Table:
+    """Make a table of faults with their evidence.
+
+    Parameters
+    ----------
+    faults : sequence of WiringFault
+        Those that forces show; others have dashes.
+
+    Returns
+    -------
+    Table
+    """
+    rows = []
+    for fault in faults:
+        factor = "-" if fault.factor is None else number(fault.factor, 3)
+        found = fault.evidence
+        cells = ["-"] * 4
+        if found is not None:
+            gain = f"{number(found.gain, 2)} +- {number(found.gain_se, 2)}"
+            cells = [f"{found.before:.0%}", f"{found.after:.0%}", f"{found.removed:.1%}", gain]
+        rows.append((fault.kind, fault.target, fault.of or "either", factor, *cells))
+    header = (
+        "wrong",
+        "joints",
+        "column of",
+        "times",
+        "forces unexplained",
+        "read right",
+        "error removed",
+        "nats a row, held out",
+    )
+    return Table("Columns that mean something else", header, tuple(rows))
 
 
 @dataclass(frozen=True)
@@ -108,7 +206,7 @@ class QuickDiagnosis(Report):
     def headline(self) -> str:
         """The finding in a few sentences."""
         if self.faults:
-            return " ".join(fault.text for fault in self.faults)
+            return " ".join(fault.sentences for fault in self.faults)
         count = len(self.causes)
         verdict = VERDICTS[self.verdict]
         if not count:
@@ -119,6 +217,8 @@ class QuickDiagnosis(Report):
     def parts(self) -> list[str | Table]:
         """The headline, the causes with the numbers to type, and the forces."""
         lines: list[str | Table] = [self.headline()]
+        if self.faults:
+            lines.append(fault_table(self.faults))
         if self.causes:
             lines.append(self._cause_table())
         lines.append(self._force_table())

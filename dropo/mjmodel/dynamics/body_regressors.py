@@ -87,6 +87,48 @@ def inverse_dynamics(
     return InverseDynamics(forces, moving.regressors(chosen), moving.by_gravity(model), free)
 
 
+def rigid_forces(
+    model: mujoco.MjModel, positions: Array, velocities: Array, accelerations: Array
+) -> tuple[Array, Array]:
+    """Compute what a motion of the bodies alone needs, without rotors, friction, contacts, limits.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model, with as many positions as degrees of freedom.
+    positions : (n, nv) array
+        [m, rad].
+    velocities, accelerations : (n, nv) arrays
+        [m/s, rad/s] and [m/s^2, rad/s^2].
+
+    Returns
+    -------
+    moving : (n, nv) array
+        Generalized forces that accelerate the bodies and stretch springs [N, N m].
+    holding : (n, nv) array
+        Those that hold them against gravity.
+    """
+    bare = _without_dry_friction(model)
+    bare.dof_armature[:] = 0
+    bare.dof_damping[:] = 0
+    bare.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+    data = mujoco.MjData(bare)
+    moving = np.empty_like(velocities)
+    holding = np.empty_like(velocities)
+    gravity = bare.opt.gravity.copy()
+    for i in range(len(positions)):
+        data.qpos[:] = positions[i]
+        data.qvel[:] = velocities[i]
+        data.qacc[:] = accelerations[i]
+        bare.opt.gravity[:] = 0
+        mujoco.mj_inverse(bare, data)
+        moving[i] = data.qfrc_inverse
+        bare.opt.gravity[:] = gravity
+        mujoco.mj_inverse(bare, data)
+        holding[i] = data.qfrc_inverse - moving[i]
+    return moving, holding
+
+
 def _without_dry_friction(model: mujoco.MjModel) -> mujoco.MjModel:
     """A copy of the model without dry friction at joints and tendons."""
     changed = mujoco.MjModel.__copy__(model)

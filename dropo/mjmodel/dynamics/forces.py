@@ -53,6 +53,30 @@ def motors(model: mujoco.MjModel) -> list[tuple[Joint, list[int]]]:
     return list(found.values())
 
 
+def force_limit(model: mujoco.MjModel, ids: Sequence[int]) -> float:
+    """Find the largest force of a joint's motors.
+
+    Parameters
+    ----------
+    model : MjModel
+        The model.
+    ids : sequence of int
+        Numbers of the motors, as `motors` gives them.
+
+    Returns
+    -------
+    float
+        Of all together at the joint [N or N m]; infinite where one of them has no limit.
+    """
+    if not all(model.actuator_forcelimited[i] for i in ids):
+        return np.inf
+    reach = 0.0
+    for i in ids:
+        ratio = abs(float(model.actuator_gear[i, 0]))
+        reach += ratio * float(np.abs(model.actuator_forcerange[i]).min())
+    return reach
+
+
 def motor_force(state: StepState, joint: Joint, ids: Sequence[int]) -> Array:
     """Compute the generalised force of a joint's actuators as MuJoCo does: gear (gain u + bias).
 

@@ -9,6 +9,7 @@ import numpy as np
 from dropo import plots
 from dropo.core.records.figure_data import FigureData
 from dropo.core.records.fit_choices import ExcludedSpan
+from dropo.diagnosis.findings.detectable import Detectable
 from dropo.diagnosis.findings.replay import OddReplay
 from dropo.diagnosis.parts import (
     Alternative,
@@ -18,6 +19,8 @@ from dropo.diagnosis.parts import (
     are_stated,
     effect_in_words,
 )
+from dropo.diagnosis.regression.result import WiringFault
+from dropo.diagnosis.result import MISWIRED
 from dropo.plots.causes import BRIDGE, in_order, words
 from dropo.report import parts
 from dropo.report.folder import Result
@@ -77,6 +80,7 @@ def diagnosis_page(result: Result) -> str:
         parts.motion(predictions, result.media),
         parts.errors(predictions, _errors(content) + _replay(content)),
         _remaining(content, found),
+        _detectable(content),
         parts.made(result),
     ]
     kicker = f"dropo diagnose · {result.problem}"
@@ -195,7 +199,7 @@ def causes_section(content: dict[str, Any]) -> Section:
     Section
     """
     causes = _causes_of(content)
-    rows = [_estimate(cause, name) for cause in causes for name in cause.estimate]
+    rows = [_estimate(cause, name) for cause in causes for name in cause.estimate or ("",)]
     header = [
         "effect",
         "quantity",
@@ -208,6 +212,8 @@ def causes_section(content: dict[str, Any]) -> Section:
         "p-value",
     ]
     remarks = [_confused(cause, other) for cause in causes for other in cause.confused_with]
+    if rows:
+        remarks += map(fault_remark, content.get("faults", []))
     for cause in causes:
         if cause.formula:
             remarks.append(f"{cause.place}: {cause.called or 'a law without a name'}.")
@@ -219,24 +225,72 @@ def causes_section(content: dict[str, Any]) -> Section:
     body = paragraph("No effect was confirmed on the data held out.")
     if rows:
         lead = "What was added to the model, and what it gains on data held out."
+        if content.get("faults"):
+            lead = (
+                "Columns of the data that are not what the model takes them for, and what forces "
+                "gain on data held out where they are read right."
+            )
         body = table(header, rows)
     return Section("Causes", lead, body + (notes(remarks) if remarks else ""))
 
 
 def _estimate(cause: Cause, name: str) -> list[Cell]:
-    """The row of one quantity of a cause."""
-    found = cause.estimate[name]
+    """The row of one quantity of a cause, or of one that has none."""
+    found = cause.estimate.get(name)
+    size = [Cell("–")] * 4
+    if found is not None:
+        size = [
+            Cell(f"{found.value:+.4g}", found.value),
+            Cell(plain(found.se, 2), found.se) if np.isfinite(found.se) else Cell("–"),
+            Cell(found.unit),
+            Cell("–" if found.model is None else plain(found.model)),
+        ]
     return [
         Cell(words(_label(cause))),
-        Cell(name),
-        Cell(f"{found.value:+.4g}", found.value),
-        Cell(plain(found.se, 2), found.se),
-        Cell(found.unit),
-        Cell("–" if found.model is None else plain(found.model)),
+        Cell(name or "–"),
+        *size,
         Cell(plain(cause.held_out_gain, 3), cause.held_out_gain),
         Cell(plain(cause.held_out_gain_se, 2)),
         Cell(_p_value(cause.p_value), cause.p_value),
     ]
+
+
+def _detectable(content: dict[str, Any]) -> Section | None:
+    """The sizes of usual effects that the data would have shown, where none was found."""
+    found = [Detectable.from_json(saved) for saved in content.get("detectable", [])]
+    if not found:
+        return None
+    rows = [
+        [
+            Cell(words(effect_in_words(one.effect, None, one.variant))),
+            Cell(one.target or "all"),
+            Cell(one.quantity),
+            Cell("at no size") if one.size is None else Cell(plain(one.size, 2), one.size),
+            Cell(one.unit.removesuffix("1")),
+        ]
+        for one in found
+    ]
+    lead = (
+        "The smallest size of each usual effect at which these data are expected to confirm it: "
+        "what is smaller may be there."
+    )
+    header = ["effect", "where", "quantity", "shown from", "unit"]
+    return Section("What these data would have shown", lead, table(header, rows))
+
+
+def fault_remark(fault: dict[str, Any]) -> str:
+    """Say what is wrong with columns of the data, and what to change.
+
+    Parameters
+    ----------
+    fault : dict
+        Of diagnosis.json.
+
+    Returns
+    -------
+    str
+    """
+    return WiringFault.from_json(fault).sentences
 
 
 def _fitted(content: dict[str, Any], record: dict[str, Any]) -> Section | None:
@@ -413,7 +467,8 @@ def _remaining(content: dict[str, Any], found: FigureData | None) -> Section:
     remarks += [str(OddReplay(**one)) for one in replayed.get("odd", [])]
     remarks += content.get("numerics", [])
     remarks += [*content.get("undetermined", []), *content.get("warnings", [])]
-    body = notes(remarks) if remarks else paragraph("Nothing that these data could show.")
+    nothing = MISWIRED if content.get("faults") else "Nothing that these data could show."
+    body = notes(remarks) if remarks else paragraph(nothing)
     if found is not None:
         forces = found.forces
         worst = int(np.argmax(forces.before))

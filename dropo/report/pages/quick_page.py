@@ -6,7 +6,7 @@ from dropo.report import parts
 from dropo.report.folder import Result
 from dropo.report.model_changes import changes_part
 from dropo.report.page import Cell, Section, notes, page, percent, plain, table
-from dropo.report.pages.diagnosis_page import causes_section, finding_cards
+from dropo.report.pages.diagnosis_page import causes_section, fault_remark, finding_cards
 from dropo.report.robot.picture import where_section
 
 
@@ -51,7 +51,7 @@ def _forces(content: dict[str, Any]) -> Section:
         for joint in content["forces"]
     ]
     header = ["joint", "unit", "drive", "unexplained as it is", "with what was found", "used"]
-    remarks = [*(fault["text"] for fault in content["faults"]), *content["warnings"]]
+    remarks = [*map(fault_remark, content["faults"]), *content["warnings"]]
     lead = (
         "Root mean squares on data held out, by regression over inverse dynamics: diagnose "
         "without --quick to confirm by simulation."

@@ -180,17 +180,15 @@ def where_section(result: Result, changes: str) -> Section | None:
     for cause in causes:
         named = effect_in_words(cause.effect, cause.target, cause.variant, cause.formula)
         sizes = ", ".join(
-            f"{name} {one.value:+.4g} ± {plain(one.se, 2)} {one.unit.removeprefix('1')}".rstrip()
+            f"{name} {one.value:+.4g}{_error(one.se)} {one.unit.removeprefix('1')}".rstrip()
             for name, one in cause.estimate.items()
         )
         places = element_places(model, data, cause.effect, cause.target) if cause.target else []
         sign = str(next(numbers)) if places else "–"
         marks += [(sign, place) for place in places]
         whole = "" if places else " It acts on the whole robot, in no one place."
-        items.append(
-            f"<li><b>{sign}</b> <span>{escape(named[:1].upper() + named[1:])}: "
-            f"{escape(sizes)}.{whole}</span></li>"
-        )
+        told = f"{named[:1].upper()}{named[1:]}" + f": {sizes}" * bool(sizes)
+        items.append(f"<li><b>{sign}</b> <span>{escape(told)}.{whole}</span></li>")
     image = b"" if result.media is None else result.media.still
     text = ". ".join(
         f"{sign}: {effect_in_words(cause.effect, cause.target, cause.variant)}"
@@ -202,6 +200,11 @@ def where_section(result: Result, changes: str) -> Section | None:
     lead = f"The robot in {pose}; a number stands where each cause acts."
     body = f'<div class="pair"><figure>{svg}</figure><div>{listed}{changes}</div></div>'
     return Section("Where it is, and what to type", lead, body)
+
+
+def _error(se: float) -> str:
+    """The standard error behind a number, where it has one."""
+    return f" ± {plain(se, 2)}" if np.isfinite(se) else ""
 
 
 def _svg(

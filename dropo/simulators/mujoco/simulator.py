@@ -3,7 +3,7 @@
 import copy
 import os
 import queue
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cached_property, partial
@@ -30,6 +30,7 @@ from dropo.mjmodel.dynamics.contacts import touching
 from dropo.mjmodel.dynamics.holding_friction import hold_friction
 from dropo.mjmodel.fields import MOVES_FRAMES, Binding, FieldParameter, item_columns
 from dropo.mjmodel.files.loading import load_model, specification
+from dropo.mjmodel.held_joints import can_hold, free_joints, hold_joints
 from dropo.mjmodel.names import element_names
 from dropo.mjmodel.observation import Layout
 from dropo.mjmodel.robot_simulator import RobotSimulator
@@ -263,6 +264,28 @@ class MujocoSimulator(RobotSimulator):
             A new one, whose counts of steps and failures begin at 0.
         """
         return self._with_model(hold_friction)
+
+    def with_held_joints(self, values: Mapping[int, float]) -> "MujocoSimulator | None":
+        """Make the same simulator with hinges and slides that stay where they are.
+
+        Parameters
+        ----------
+        values : mapping of int to float
+            By the joints' numbers in the model, where each stays [rad, m]; states that do not
+            observe it begin there.
+
+        Returns
+        -------
+        MujocoSimulator or None
+            None where one of them moves a body behind another joint of that body.
+        """
+        if not all(can_hold(self.model, joint, value) for joint, value in values.items()):
+            return None
+        return self._with_model(partial(hold_joints, values))
+
+    def with_joints_of(self, other: "MujocoSimulator") -> "MujocoSimulator":
+        """Make the same simulator with joints that are as free as another's of the same robot."""
+        return self._with_model(partial(free_joints, other.model))
 
     def _with_model(self, change: Callable[[mujoco.MjModel], None]) -> "MujocoSimulator":
         """The same simulator with other numbers in its model, which `change` writes."""

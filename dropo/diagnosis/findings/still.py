@@ -1,0 +1,197 @@
+"""Joints that never move in the data: they are held, and what cannot be told of them is listed."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dropo.core.contracts.effect import EffectInstance
+from dropo.core.contracts.problem import Problem
+from dropo.core.records.trajectories import Ints, Trajectories
+from dropo.core.services.tables import number
+from dropo.diagnosis.result import Diagnosis
+from dropo.mjmodel.joints import Joint, actuators, joints
+from dropo.mjmodel.robot_simulator import RobotSimulator
+from dropo.simulators.mujoco.simulator import MujocoSimulator
+
+MOVES = 1e-12
+"""A column that changes by less never moves [rad, m and their derivatives]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """A problem without the columns of joints that never move, which its model holds.
+
+    Attributes
+    ----------
+    came : Problem
+        The problem with them.
+    problem : Problem
+        Without them.
+    still : sequence of (Joint, float)
+        The joints, and where they stay [rad, m].
+    """
+
+    came: Problem
+    problem: Problem
+    still: Sequence[tuple[Joint, float]]
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """One for each joint."""
+        return tuple(_sentence(joint, value) for joint, value in self.still)
+
+    def at(self, instance: EffectInstance) -> bool:
+        """Whether an effect acts at such a joint or its drive."""
+        names = {joint.name for joint, _ in self.still}
+        model = self.problem.simulator.model
+        drives = actuators(model)
+        names |= {one.name for one in drives if one.joint is not None and one.joint.name in names}
+        return instance.target in names
+
+    def restored(self, found: Diagnosis, untold: Sequence[EffectInstance]) -> Diagnosis:
+        """Return a diagnosis with a problem in which the joints are free again.
+
+        Parameters
+        ----------
+        found : Diagnosis
+            Of the problem that holds them.
+        untold : sequence of EffectInstance
+            The effects at the joints, which were not looked for.
+
+        Returns
+        -------
+        Diagnosis
+        """
+        simulator = found.problem.simulator
+        came = self.came.simulator
+        if not (isinstance(simulator, MujocoSimulator) and isinstance(came, MujocoSimulator)):
+            raise AssertionError("only a MujocoSimulator holds joints")
+        free = simulator.with_joints_of(came).observing(came.observation)
+        told = list(dict.fromkeys(one.label for one in untold))
+        listed = (f"Not told, since their joint never moves: {', '.join(told)}.",) if told else ()
+        return replace(
+            found,
+            problem=replace(self.came, simulator=free),
+            undetermined=(*found.undetermined, *listed),
+            warnings=(*found.warnings, *self.sentences),
+        )
+
+
+def _sentence(joint: Joint, value: float) -> str:
+    """What is said of a joint that never moves."""
+    return (
+        f"The joint {joint.name!r} never moves in these data: it is taken to be held at "
+        f"{number(value, 3)} {joint.length}, and nothing is told of its friction, damping, rotor "
+        "and drive."
+    )
+
+
+def still_joints(simulator: RobotSimulator, data: Trajectories) -> list[tuple[Joint, float]]:
+    """List the hinges and slides whose columns never change, and where they stay.
+
+    Parameters
+    ----------
+    simulator : RobotSimulator
+        The robot.
+    data : Trajectories
+        What was measured.
+
+    Returns
+    -------
+    list of (Joint, float)
+        [rad, m]
+    """
+    columns = {(one.field, one.place): i for i, one in enumerate(simulator.layout.columns)}
+    rows = np.concatenate([data.observations, data.next_observations])
+    found = []
+    for joint in joints(simulator.model):
+        place = columns.get(("qpos", joint.qpos))
+        rate = columns.get(("qvel", joint.qvel))
+        if place is None or np.ptp(rows[:, place]) > MOVES:
+            continue
+        if rate is None or np.ptp(rows[:, rate]) <= MOVES:
+            found.append((joint, float(rows[0, place])))
+    return found
+
+
+def still_sentences(problem: Problem) -> tuple[str, ...]:
+    """Name the joints that never move in a problem's data, a sentence each.
+
+    Parameters
+    ----------
+    problem : Problem
+        A robot and its data.
+
+    Returns
+    -------
+    tuple of str
+    """
+    simulator = problem.simulator
+    if not isinstance(simulator, RobotSimulator):
+        return ()
+    return tuple(_sentence(*one) for one in still_joints(simulator, problem.trajectories))
+
+
+def hold_still(problem: Problem) -> Held | None:
+    """Hold the joints that never move, and leave their columns out.
+
+    Parameters
+    ----------
+    problem : Problem
+        A robot and its data.
+
+    Returns
+    -------
+    Held or None
+        None where all joints move, or none, or where they cannot be held.
+    """
+    simulator = problem.simulator
+    if not isinstance(simulator, MujocoSimulator):
+        return None
+    still = still_joints(simulator, problem.trajectories)
+    if problem.held_out is not None:
+        also = {joint.name: value for joint, value in still_joints(simulator, problem.held_out)}
+        still = [one for one in still if also.get(one[0].name) == one[1]]
+    own = {("qpos", joint.qpos) for joint, _ in still} | {
+        ("qvel", joint.qvel) for joint, _ in still
+    }
+    columns = simulator.layout.columns
+    kept = np.array(
+        [i for i, one in enumerate(columns) if (one.field, one.place) not in own], dtype=np.int64
+    )
+    if not still or not len(kept):
+        return None
+    held = simulator.with_held_joints({joint.id: value for joint, value in still})
+    if held is None:
+        return None
+    items = [f"{columns[i].field}[{columns[i].place}]" for i in kept.tolist()]
+    return Held(problem, _without(problem, held.observing(items), kept), still)
+
+
+def _without(problem: Problem, simulator: MujocoSimulator, kept: Ints) -> Problem:
+    """A problem with some of its columns, those of the simulator."""
+    names = {signal.name for signal in simulator.signals}
+    old = [signal.name for signal in problem.simulator.signals]
+    of_signals = [i for i, name in enumerate(old) if name in names]
+    epsilon = problem.epsilon
+    if epsilon is not None and np.ndim(epsilon):
+        epsilon = np.asarray(epsilon, dtype=float)[of_signals]
+
+    def narrow(data: Trajectories | None) -> Trajectories | None:
+        if data is None:
+            return None
+        before, after = data.observations[:, kept], data.next_observations[:, kept]
+        return replace(data, observations=before, next_observations=after)
+
+    set_columns = problem.set_columns
+    return replace(
+        problem,
+        simulator=simulator,
+        trajectories=narrow(problem.trajectories) or problem.trajectories,
+        held_out=narrow(problem.held_out),
+        everything=narrow(problem.everything),
+        epsilon=epsilon,
+        set_columns=None if set_columns is None else set_columns[kept],
+        estimated={name: sd for name, sd in problem.estimated.items() if name in names},
+    )
