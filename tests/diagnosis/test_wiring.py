@@ -15,7 +15,9 @@ from dropo import diagnose
 from dropo.core.services.errors import Incompatible
 from dropo.diagnosis.diagnose import Diagnose
 from dropo.diagnosis.regression.quick import QuickDiagnose
-from dropo.diagnosis.regression.wiring import wiring_of
+from dropo.diagnosis.regression.wiring import WiringSettings, wiring_of
+from dropo.problems.loading import load
+from dropo.problems.measured.external_data import find_data
 from dropo.problems.panda.sliding import sliding
 from dropo.report.build import write_report
 from dropo.simulators.mujoco.simulator import MujocoSimulator
@@ -211,3 +213,15 @@ def test_a_position_that_is_not_observed_is_no_fault():
     assert found(sliding(threads=1)) == []
     with pytest.raises(Incompatible):
         QuickDiagnose().run(sliding(threads=1))
+
+
+@pytest.mark.skipif(find_data("so101/runs.npz") is None, reason="the measured data are not here")
+def test_a_servo_that_follows_is_wired_right_however_strong_its_model():
+    """The SO-101's maker gives its servos a hundred times their gain, within small limits of force,
+    so that their forces are explained better without any pull back. Its joints follow their
+    commands all the same. The control: without that, one is taken to be commanded by torques.
+    """
+    problem = load("so101", threads=1)
+    assert wiring_of(problem).faults == ()
+    (fault,) = wiring_of(problem, WiringSettings(closely=2.0)).faults
+    assert fault.kind == "torque_command"

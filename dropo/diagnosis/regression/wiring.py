@@ -11,6 +11,7 @@ from dataclasses import KW_ONLY, dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dropo.core.contracts.problem import Problem
 from dropo.core.numerics.tails import student_tail
@@ -22,6 +23,7 @@ from dropo.diagnosis.regression.readings import JointFit, Reading, Readings, Rea
 from dropo.diagnosis.regression.result import Evidence, WiringFault
 from dropo.diagnosis.search.library import robot_of
 from dropo.mjmodel.dynamics.forces import position_servos
+from dropo.mjmodel.joints import Joint
 from dropo.mjmodel.robot_simulator import RobotSimulator
 
 EITHER = ""
@@ -54,6 +56,8 @@ class WiringSettings:
         Correlation of positions with commands from which a joint follows one.
     better : float
         By how much the correlation with another command must be larger.
+    closely : float
+        Correlation from which a joint that moves as far as its servo's command says is wired right.
     factor : float
         A factor above this, or below one over it, is another unit.
     moving : float
@@ -102,6 +106,7 @@ class WiringSettings:
 
     follows: float = 0.6
     better: float = 0.3
+    closely: float = 0.9
     factor: float = 3.0
     moving: float = 0.02
     lag: float = 0.3
@@ -223,7 +228,8 @@ def wiring_of(problem: Problem, settings: WiringSettings = SETTINGS) -> Wiring:
     except (Incompatible, BadArgument):
         pass
     else:
-        return _Search(readings, settings).run()
+        following = _following(robot_of(problem), problem.trajectories, settings)
+        return _Search(readings, settings, following).run()
     try:
         return Wiring(faults_of_followers(robot_of(problem), problem.trajectories, settings))
     except (Incompatible, BadArgument):
@@ -250,10 +256,15 @@ def wiring_faults(problem: Problem, settings: WiringSettings = SETTINGS) -> tupl
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """A search for the changes that explain the forces, one after another."""
+    """A search for the changes that explain the forces, one after another.
+
+    following: the degrees of freedom of servos whose joints follow their own commands closely. Not
+    one of both columns alone can be wrong there, however far off the servo's gain is.
+    """
 
     readings: Readings
     settings: WiringSettings
+    following: frozenset[int] = frozenset()
 
     def run(self) -> Wiring:
         """The changes that are confirmed on data held out."""
@@ -320,6 +331,7 @@ class _Search:
     def _of_commands(self, reading: Reading, bad: Sequence[int]) -> Iterator[Change]:
         """Changes of commands, which cost little to try."""
         actuators = self.readings.actuators_at
+        bad = [dof for dof in bad if dof not in self.following]
         for dof in bad:
             yield Change("sign", "command", (dof,))
             factor = self.readings.command_factor(reading, dof)
@@ -341,6 +353,7 @@ class _Search:
 
     def _of_angles(self, reading: Reading, bad: Sequence[int]) -> Iterator[Change]:
         """Changes of angles, and of the units of all of them."""
+        bad = [dof for dof in bad if dof not in self.following]
         for dof in bad:
             yield Change("sign", "angle", (dof,))
         for pair in combinations(bad, 2):
@@ -357,11 +370,13 @@ class _Search:
                 continue
             servos = any(self.readings.is_servo(dof) for dof in alike)
             for factor in units:
-                if len(alike) > 1:
+                if len(alike) > 1 and not self.following.intersection(alike):
                     yield Change("unit_factor", "angle", alike, factor)
                 if servos:
                     yield Change("unit_factor", "both", alike, factor)
         for dof in bad:
+            if dof in self.following:
+                continue
             factors = UNITS.get(kinds[dof], {})
             if self.readings.is_servo(dof):
                 factor = self.readings.follows(reading, dof)
@@ -401,7 +416,7 @@ class _Search:
         found = []
         for dof, fit in self.readings.fits(reading).items():
             factor = self.readings.command_factor(reading, dof)
-            if factor is None or factor < settings.torques:
+            if factor is None or factor < settings.torques or dof in self.following:
                 continue
             change = Change("torque_command", "command", (dof,))
             other = change.applied(reading, self.readings.actuators_at)
@@ -588,21 +603,13 @@ def faults_of_followers(
     tuple of WiringFault
         None where each joint follows its own command.
     """
-    servos = position_servos(simulator.model)
-    if not servos:
+    followers = _followers(simulator, trajectories, settings)
+    if followers is None:
         return ()
-    log = Log(simulator, trajectories)
-    positions = [rows[:, [joint.qpos for joint, _ in servos]] for rows in log.positions]
-    commands = [rows[:, [servo for _, servo in servos]] for rows in log.commands]
-    names = [joint.name for joint, _ in servos]
-    sizes = np.concatenate(_centred(commands)).std(axis=0)
-    spread = np.concatenate(_centred(positions)).std(axis=0)
-    moves = (sizes > settings.moving * sizes.max()) & (spread > 1e-9 * max(spread.max(), 1e-300))
-    longest = min(settings.lag / log.step, max(map(len, positions)) / 4)
-    lags = np.linspace(0.0, longest, settings.lags)
-    every = [_correlation(positions, commands, int(lag)) for lag in np.unique(lags.round())]
-    best = np.argmax(np.abs(every), axis=0)
-    correlation = np.take_along_axis(np.array(every), best[None], axis=0)[0]
+    names = [joint.name for joint in followers.joints]
+    correlation = followers.correlation
+    moves = followers.moves
+    slopes = followers.slopes
     found: list[WiringFault] = []
     exchanged: set[int] = set()
     for j in np.flatnonzero(moves).tolist():
@@ -620,7 +627,7 @@ def faults_of_followers(
     for j in np.flatnonzero(moves).tolist():
         if j in exchanged or abs(correlation[j, j]) < settings.follows:
             continue
-        slope = float(correlation[j, j] * spread[j] / sizes[j])
+        slope = float(slopes[j])
         if slope < 0:
             text = f"The joint {names[j]!r} has the wrong sign: it moves against its command."
             found.append(WiringFault("sign", names[j], text))
@@ -631,6 +638,57 @@ def faults_of_followers(
             )
             found.append(WiringFault("unit_factor", names[j], text))
     return tuple(found)
+
+
+@dataclass(frozen=True, eq=False)
+class _Followers:
+    """The n joints of servos beside all their commands.
+
+    correlation: (n, n) of each joint with each command, at the lag at which it is largest; slopes:
+    (n,) how far each moves for its own command; moves: (n,) which move at all.
+    """
+
+    joints: list[Joint]
+    correlation: Array
+    slopes: Array
+    moves: NDArray[np.bool_]
+
+
+def _followers(
+    simulator: RobotSimulator, trajectories: Trajectories, settings: WiringSettings
+) -> _Followers | None:
+    """How the joints of servos move with commands; None where there is no servo."""
+    servos = position_servos(simulator.model)
+    if not servos:
+        return None
+    log = Log(simulator, trajectories)
+    positions = [rows[:, [joint.qpos for joint, _ in servos]] for rows in log.positions]
+    commands = [rows[:, [servo for _, servo in servos]] for rows in log.commands]
+    sizes = np.concatenate(_centred(commands)).std(axis=0)
+    spread = np.concatenate(_centred(positions)).std(axis=0)
+    moves = (sizes > settings.moving * sizes.max()) & (spread > 1e-9 * max(spread.max(), 1e-300))
+    longest = min(settings.lag / log.step, max(map(len, positions)) / 4)
+    lags = np.linspace(0.0, longest, settings.lags)
+    every = [_correlation(positions, commands, int(lag)) for lag in np.unique(lags.round())]
+    best = np.argmax(np.abs(every), axis=0)
+    correlation = np.take_along_axis(np.array(every), best[None], axis=0)[0]
+    slopes = np.diag(correlation) * spread / np.where(moves, sizes, np.inf)
+    return _Followers([joint for joint, _ in servos], correlation, slopes, moves)
+
+
+def _following(
+    simulator: RobotSimulator, trajectories: Trajectories, settings: WiringSettings
+) -> frozenset[int]:
+    """The degrees of freedom that follow their own servo's command closely."""
+    followers = _followers(simulator, trajectories, settings)
+    if followers is None:
+        return frozenset()
+    found = set()
+    for j in np.flatnonzero(followers.moves).tolist():
+        is_alike = 1 / settings.factor < followers.slopes[j] < settings.factor
+        if followers.correlation[j, j] > settings.closely and is_alike:
+            found.add(followers.joints[j].qvel)
+    return frozenset(found)
 
 
 def _centred(runs: list[Array]) -> list[Array]:
