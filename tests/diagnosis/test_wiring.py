@@ -219,9 +219,9 @@ def test_a_position_that_is_not_observed_is_no_fault():
 def test_a_servo_that_follows_is_wired_right_however_strong_its_model():
     """The SO-101's maker gives its servos a hundred times their gain, within small limits of force,
     so that their forces are explained better without any pull back. Its joints follow their
-    commands all the same. The control: without that, one is taken to be commanded by torques.
+    commands all the same. The control: without that, some are taken to be commanded by torques.
     """
     problem = load("so101", threads=1)
     assert wiring_of(problem).faults == ()
-    (fault,) = wiring_of(problem, WiringSettings(closely=2.0)).faults
-    assert fault.kind == "torque_command"
+    faults = wiring_of(problem, WiringSettings(closely=2.0)).faults
+    assert {fault.kind for fault in faults} == {"torque_command"}
