@@ -1,5 +1,6 @@
 """The joints and actuators of a model, by name."""
 
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -184,6 +185,17 @@ class ModelJoints:
         """The name that the MJCF gives the robot; MuJoCo's own default is none."""
         name = self.model.names.split(b"\0", 1)[0].decode(errors="replace")
         return "" if name == "MuJoCo Model" else name
+
+    @property
+    def bodies(self) -> dict[str, str]:
+        """By a joint's name that of the body that it alone moves, where that has another name."""
+        moved = Counter(joint.body for joint in self.joints.values())
+        found = {}
+        for name, joint in self.joints.items():
+            body = str(self.model.body(joint.body).name)
+            if moved[joint.body] == 1 and body and body not in self.joints:
+                found[name] = body
+        return found
 
     @property
     def timestep(self) -> float:

@@ -55,10 +55,13 @@ class GuessSettings:
         From when on a column's name is that of a joint.
     scales : ScaleSettings
         What the size of numbers says of their unit.
+    word : int
+        Letters that a body's name needs to stand for the joint that moves it: fewer tell little.
     """
 
     places: PlaceSettings = field(default_factory=PlaceSettings)
     scales: ScaleSettings = field(default_factory=ScaleSettings)
+    word: int = 3
 
 
 DEFAULTS = GuessSettings()
@@ -170,6 +173,14 @@ class _Guesser:
         rest = [one for one in columns if one not in fixed.values()]
         unnamed = [name for name in names if name not in fixed]
         guessed, left = match(rest, unnamed, self._settings.places)
+        if quantity != "ctrl":  # a body stands for the joint that moves it
+            bodies = {
+                body: name
+                for name, body in self._robot.bodies.items()
+                if name in unnamed and name not in guessed and len(body) >= self._settings.word
+            }
+            more, left = match(left, list(bodies), self._settings.places)
+            guessed |= {bodies[body]: column for body, column in more.items()}
         found_all = fixed | guessed
         return {name: found_all[name] for name in names if name in found_all}, left
 

@@ -217,6 +217,18 @@ def test_what_is_not_clear_is_asked(tmp_path: Path) -> None:
     assert found.undecided == []
 
 
+def test_a_body_stands_for_the_joint_that_moves_it(tmp_path: Path) -> None:
+    """Where no column has the joint's own name; a column that has it comes first."""
+    model = robot(SERVOS.replace('name="a"', 'name="thigh"').replace('name="b"', 'name="shin"'))
+    columns = {"t": TIME, "thigh_angle_rad": HIP, "shin_angle_rad": KNEE, "thigh_vel": SPEEDS[0]}
+    found = guess(tmp_path, columns, model)
+    expected = {"left_hip": "thigh_angle_rad", "left_knee": "shin_angle_rad"}
+    assert columns_of(found, "qpos") == expected
+    assert columns_of(found, "qvel") == {"left_hip": "thigh_vel"}
+    both = guess(tmp_path, {**columns, "left_hip_angle": HIP}, model)
+    assert columns_of(both, "qpos") == {**expected, "left_hip": "left_hip_angle"}
+
+
 def test_stamps_may_begin_anew_in_each_run(tmp_path: Path) -> None:
     """Two recordings of one file, each with stamps from 0 on."""
     twice = {
