@@ -56,12 +56,15 @@ def test_every_usual_effect_has_a_size(consistent, tmp_path):
     ],
 )
 def test_twice_the_size_is_found_and_a_fifth_is_not(consistent, effect, target, label):
-    """In at least three of four recordings, and in none."""
+    """In at least three of four recordings, by its name or one that these data cannot tell from it
+    (the rotor of the elbow beside those of both joints); and in none.
+    """
     size = size_of(consistent, effect, target)
     named = []
     for seed in SEEDS:
         large = SEARCH.run(problem([(label, [2 * size])], seed=seed))
-        named.append((effect, target) in {(one.effect, one.target) for one in large.causes})
+        same = [(one, *one.confused_with) for one in large.causes]
+        named.append(any((effect, target) == (a.effect, a.target) for own in same for a in own))
         small = SEARCH.run(problem([(label, [0.2 * size])], seed=seed))
         assert small.causes == ()
     assert np.sum(named) >= len(SEEDS) - 1

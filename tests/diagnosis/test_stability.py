@@ -10,7 +10,7 @@ from dropo import Diagnose
 from dropo.core.contracts.effect import EffectInstance, Quantity
 from dropo.core.contracts.estimator import silent
 from dropo.core.services.evaluation_log import EvaluationLog
-from dropo.diagnosis.diagnose import _search
+from dropo.diagnosis.diagnose import _search, _Task
 from dropo.diagnosis.findings.causes import leaders
 from dropo.diagnosis.findings.stability import stability
 from dropo.diagnosis.parts import Leader, Stability
@@ -27,7 +27,9 @@ SIZE = Quantity("size", "N m", 0.0, 1.0, (0.01,))
 @pytest.fixture(scope="module")
 def searched():
     """The search on an arm with more damping at the elbow: setup, the effect and its review."""
-    setup = SEARCH._set_up(problem([("joint_damping:elbow", [0.05])]), silent, EvaluationLog())
+    damped = problem([("joint_damping:elbow", [0.05])])
+    task = _Task(damped, damped, np.random.default_rng(0), EvaluationLog())
+    setup = SEARCH._set_up(task, silent)
     _, found = _search(setup)
     (instance,) = found.last.accepted
     return setup, instance, found.reviews[instance.label]

@@ -288,7 +288,7 @@ class RestrictedEstimates:
         squares = np.einsum("pa,pmab,pb->m", found.v, grams, found.v)
         leverage = np.einsum("pab,pmba->m", found.inverse, grams[:, :, :-1, :-1]) / noise.sd**2
         left = np.maximum(self.counts - leverage, self.settings.free * self.counts)
-        return np.asarray(np.sqrt(squares / np.maximum(left, 1.0)))
+        return np.asarray(np.sqrt(np.maximum(squares, 0.0) / np.maximum(left, 1.0)))
 
     def _with_memory(self, noise: NoiseDistribution, j: int) -> NoiseDistribution:
         """The distribution with memory of signal j, if that gains enough."""
