@@ -45,7 +45,14 @@ def test_every_usual_effect_has_a_size(consistent, tmp_path):
     assert "What these data would have shown" in write_report(tmp_path).read_text()
 
 
-@pytest.mark.slow
+def test_twice_a_size_is_found(consistent):
+    """One effect in one recording; the studies have more of both, and what is smaller."""
+    size = size_of(consistent, "joint_damping", "elbow")
+    found = SEARCH.run(problem([("joint_damping:elbow", [2 * size])], seed=SEEDS[0]))
+    assert [(one.effect, one.target) for one in found.causes] == [("joint_damping", "elbow")]
+
+
+@pytest.mark.study
 @pytest.mark.parametrize(
     ("effect", "target", "label"),
     [

@@ -160,6 +160,7 @@ def test_cube_toss_shows_friction():
 
 
 @outside
+@pytest.mark.study
 def test_cube_toss_is_fitted():
     """Of 4 tosses, by polynomials of order 2: friction near 0.2, and 100 ms ahead less than half of
     the held-out error.
@@ -336,13 +337,8 @@ run: {only: ['toss_00*', 'toss_01*']}
 
 
 @outside
-@pytest.mark.parametrize(
-    "name",
-    [
-        "simple-pendulum",
-        *(pytest.param(name, marks=pytest.mark.study) for name in ("double-pendulum", "cube-toss")),
-    ],
-)
+@pytest.mark.study
+@pytest.mark.parametrize("name", ["simple-pendulum", "double-pendulum", "cube-toss"])
 def test_from_raw_logs_to_a_cause(name, tmp_path):
     """Import, check and diagnosis of the archive as it was logged, by a mapping alone: what the
     model lacks most is found. Where velocities were not logged this takes all windows. The simple

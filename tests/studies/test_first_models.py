@@ -2,6 +2,8 @@
 
 from functools import partial
 
+import pytest
+
 from dropo import Diagnose
 from dropo.studies.engine.work import Work
 from dropo.studies.first_models import study
@@ -12,6 +14,7 @@ SEED = 106
 """Of a servo machine of one joint."""
 
 
+@pytest.mark.study
 def test_first_models(monkeypatch):
     """By regression with numbers missing and with none, then by simulation: what is right, false
     and missed, beside the numbers of each machine.
