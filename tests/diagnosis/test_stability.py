@@ -14,6 +14,8 @@ from dropo.diagnosis.diagnose import _search, _Task
 from dropo.diagnosis.findings.causes import leaders
 from dropo.diagnosis.findings.stability import stability
 from dropo.diagnosis.parts import Leader, Stability
+from dropo.diagnosis.search import arithmetic
+from dropo.diagnosis.search.arithmetic import Rivals
 from dropo.diagnosis.search.confirmation import SETTINGS
 from dropo.diagnosis.search.windows import split
 from tests.models.hidden_in_arm import problem
@@ -115,3 +117,17 @@ def test_leaders_are_what_gains_enough_and_is_not_sure():
         read = Leader.from_json(leader.to_json())
         assert (read.gain, read.target) == (leader.gain, leader.target)
         assert np.isnan(read.times) or read.times == leader.times
+
+
+def test_steps_under_which_there_is_no_likelihood_win_nothing(searched, monkeypatch):
+    """Where a model loses the motion, that of every rival may be NaN; the control: as it is, a rival
+    has a finite one.
+    """
+    setup, _, found = searched
+    selection = setup.selection
+    log = EvaluationLog()
+    rivals = Rivals(setup.library, selection.floor, selection.settings, log, found.first)
+    assert np.isfinite(rivals._most_promising(setup.library.simulator, found.last)[1])
+    none = SimpleNamespace(log_likelihood=np.array([np.nan]))
+    monkeypatch.setattr(arithmetic, "settle", lambda *args, **more: none)
+    assert not rivals(found.last, None)

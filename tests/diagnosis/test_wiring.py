@@ -73,6 +73,15 @@ def test_a_turned_angle_is_named(logs, name):
     assert found(turned) == [("sign", "joint0")]
 
 
+@pytest.mark.parametrize("place", [1, 2, 3])
+def test_each_angle_of_a_gantry_is_named(logs, place):
+    """Its wrist stands upright and sags under its load, so that forces alone do not tell its sign;
+    but it moves against its command.
+    """
+    turned = read_otherwise(logs("gantry with a wrist"), angles=scaled(place, -1))
+    assert found(turned) == [("sign", f"joint{place}")]
+
+
 @pytest.mark.parametrize("of", ["angles", "commands"])
 @pytest.mark.parametrize("name", ["arm, 3 joints", "arm, 6 joints", *MOTORS])
 def test_exchanged_joints_are_named(logs, name, of):

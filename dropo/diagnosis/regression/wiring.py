@@ -228,8 +228,11 @@ def wiring_of(problem: Problem, settings: WiringSettings = SETTINGS) -> Wiring:
     except (Incompatible, BadArgument):
         pass
     else:
-        following = _following(robot_of(problem), problem.trajectories, settings)
-        return _Search(readings, settings, following).run()
+        followers = _followers(robot_of(problem), problem.trajectories, settings)
+        following = _following(followers, settings)
+        search = _Search(readings, settings, following)
+        found = search.run()
+        return found if found.faults else search.of_opposed(_opposed(followers, settings))
     try:
         return Wiring(faults_of_followers(robot_of(problem), problem.trajectories, settings))
     except (Incompatible, BadArgument):
@@ -289,6 +292,14 @@ class _Search:
         if not faults:
             return Wiring(())
         return Wiring(tuple(faults), reading)
+
+    def of_opposed(self, dofs: Sequence[int]) -> Wiring:
+        """The signs of joints that move against their own servos' commands, whatever forces say."""
+        if not dofs:
+            return Wiring(())
+        changes = [Change("sign", "angle", (dof,)) for dof in dofs]
+        faults = tuple(self._fault(change, changes) for change in changes)
+        return Wiring(faults, self._reading(changes))
 
     def _reading(self, changes: Sequence[Change]) -> Reading:
         """How columns are read with some changes."""
@@ -676,11 +687,8 @@ def _followers(
     return _Followers([joint for joint, _ in servos], correlation, slopes, moves)
 
 
-def _following(
-    simulator: RobotSimulator, trajectories: Trajectories, settings: WiringSettings
-) -> frozenset[int]:
+def _following(followers: _Followers | None, settings: WiringSettings) -> frozenset[int]:
     """The degrees of freedom that follow their own servo's command closely."""
-    followers = _followers(simulator, trajectories, settings)
     if followers is None:
         return frozenset()
     found = set()
@@ -689,6 +697,15 @@ def _following(
         if followers.correlation[j, j] > settings.closely and is_alike:
             found.add(followers.joints[j].qvel)
     return frozenset(found)
+
+
+def _opposed(followers: _Followers | None, settings: WiringSettings) -> list[int]:
+    """The degrees of freedom that move against their own servo's command as closely."""
+    if followers is None:
+        return []
+    own = np.diag(followers.correlation)
+    opposed = np.flatnonzero(followers.moves & (own < -settings.closely)).tolist()
+    return [followers.joints[j].qvel for j in opposed]
 
 
 def _centred(runs: list[Array]) -> list[Array]:

@@ -128,6 +128,8 @@ class Rivals:
         if not isinstance(simulator, RobotSimulator) or simulator.control_step is None:
             return False
         arithmetic, promise = self._most_promising(simulator, state)
+        if not np.isfinite(promise):
+            return False
         # Along the way what promises nothing is not fitted; where all begins and ends, it is.
         if promise < 0 and state.accepted and found is not None:
             return False
@@ -155,7 +157,7 @@ class Rivals:
     def _most_promising(self, simulator: RobotSimulator, state: State) -> tuple[Arithmetic, float]:
         """The cheapest rival that gains nearly as much as any on the windows to fit, and its gain.
 
-        Nothing is fitted but the noise.
+        Nothing is fitted but the noise. The gain is -inf where none is known.
         """
         before = float(state.train.log_likelihood.sum())
         gains = []
@@ -166,9 +168,13 @@ class Rivals:
             train = settle(library, train, NO_INDICES, self.floor, rounds=1)
             gains.append((arithmetic, float(train.log_likelihood.sum()) - before))
             simulator.steps += library.simulator.steps
-        most = max(gain for _, gain in gains)
+        # Where a model loses the motion there may be no likelihood at all.
+        told = [(one, gain) for one, gain in gains if np.isfinite(gain)]
+        if not told:
+            return gains[0][0], -np.inf
+        most = max(gain for _, gain in told)
         enough = most - (1 - self.settings.nearly) * abs(most)
-        return next((one, gain) for one, gain in gains if gain >= enough)
+        return next((one, gain) for one, gain in told if gain >= enough)
 
     def _fitted(self, simulator: RobotSimulator, arithmetic: Arithmetic, state: State) -> State:
         """A model in other steps, fitted as one with an effect more is."""

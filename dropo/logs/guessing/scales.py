@@ -327,16 +327,17 @@ def command_unit(commands: Array, logged: Array, hint: str | None, position: Sca
         return Scale(hint, "its name says so")
     measured = UNITS[position.unit][1] * (position.sign * logged + position.offset)
 
-    def distance(unit: str, offset: float) -> float:
-        wanted = UNITS[unit][1] * (position.sign * commands + offset)
-        return float(np.sqrt(np.mean((wanted - measured) ** 2)))
+    def distance(unit: str) -> float:
+        wanted = UNITS[unit][1] * commands
+        apart = [wanted - wanted.mean() - sign * (measured - measured.mean()) for sign in (1, -1)]
+        return float(min(np.sqrt(np.mean(one**2)) for one in apart))
 
     best = Scale(position.unit, "the joint follows them", position.offset)
-    nearest = distance(best.unit, best.offset)
+    nearest = distance(best.unit)
     for unit in {"rad": ("rad", "deg"), "m": ("m", "cm", "mm")}[si]:
-        if unit != position.unit and distance(unit, 0.0) < 0.5 * nearest:
+        if unit != position.unit and distance(unit) < 0.5 * nearest:
             best = Scale(unit, "the joint follows them")
-            nearest = distance(unit, 0.0)
+            nearest = distance(unit)
     return best
 
 

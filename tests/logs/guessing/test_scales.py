@@ -74,3 +74,12 @@ def test_commands_of_a_slide_have_a_unit_of_their_own(unit: str) -> None:
     commands = wanted / {"m": 1.0, "cm": 1e-2, "mm": 1e-3}[unit]
     position = Scale("mm", "its name says so")
     assert command_unit(commands, logged, None, position).unit == unit
+
+
+def test_a_joint_that_moves_the_other_way_has_the_same_unit() -> None:
+    """A wrong sign is not taken for commands that are next to nothing, in degrees."""
+    wanted = 0.7 * np.sin(2 * TIME)
+    logged = -0.7 * np.sin(2 * TIME - 0.1)
+    position = Scale("rad", "its name says so")
+    assert command_unit(wanted, logged, None, position).unit == "rad"
+    assert command_unit(np.degrees(wanted), logged, None, position).unit == "deg"
