@@ -120,14 +120,14 @@ def test_leaders_are_what_gains_enough_and_is_not_sure():
 
 
 def test_steps_under_which_there_is_no_likelihood_win_nothing(searched, monkeypatch):
-    """Where a model loses the motion, that of every rival may be NaN; the control: as it is, a rival
-    has a finite one.
+    """Where a model loses the motion, that of every rival may be NaN. The control: as it is, a
+    rival has a finite one.
     """
-    setup, _, found = searched
+    setup = searched[0]
     selection = setup.selection
-    log = EvaluationLog()
-    rivals = Rivals(setup.library, selection.floor, selection.settings, log, found.first)
-    assert np.isfinite(rivals._most_promising(setup.library.simulator, found.last)[1])
+    last = setup.first()
+    rivals = Rivals(setup.library, selection.floor, selection.settings, EvaluationLog(), last)
+    assert np.isfinite(rivals._most_promising(setup.library.simulator, last)[1])
     none = SimpleNamespace(log_likelihood=np.array([np.nan]))
     monkeypatch.setattr(arithmetic, "settle", lambda *args, **more: none)
-    assert not rivals(found.last, None)
+    assert not rivals(last, None)
