@@ -76,7 +76,9 @@ class Replay:
         """Root mean square errors over all runs and all signals of a unit, before and after."""
         own = np.array(self.units) == unit
         weights = np.array(self.seconds)
-        return _overall(self.before[:, own], weights), _overall(self.after[:, own], weights)
+        before = overall_error(self.before[:, own], weights)
+        after = overall_error(self.after[:, own], weights)
+        return before, after
 
     def odd(self) -> list[OddReplay]:
         """List runs in which a signal is off by far more than in most."""
@@ -101,7 +103,7 @@ class Replay:
         for one in self.odd():
             weights[one.run, self.signals.index(one.signal)] = 0.0
         own = np.array(self.units) == unit
-        return _overall(self.after[:, own], weights[:, own])
+        return overall_error(self.after[:, own], weights[:, own])
 
     def table(self) -> Table:
         """A row for each signal."""
@@ -109,7 +111,7 @@ class Replay:
         rows = []
         for i, (signal, unit) in enumerate(zip(self.signals, self.units, strict=True)):
             sides = (self.before[:, [i]], self.after[:, [i]])
-            errors = [number(_overall(side, weights), 3) for side in sides]
+            errors = [number(overall_error(side, weights), 3) for side in sides]
             rows.append((signal, unit, *errors))
         for unit in dict.fromkeys(self.units):
             rows.append(("all", unit, *(number(error, 3) for error in self.overall(unit))))
@@ -165,6 +167,18 @@ def replay(simulator: Simulator, data: Trajectories, thetas: Sequence[Array]) ->
     )
 
 
-def _overall(errors: Array, weights: Array) -> float:
-    """The root mean square of errors (n, k) of runs of these lengths (n,) or (n, k)."""
+def overall_error(errors: Array, weights: Array) -> float:
+    """Compute the root mean square error over runs and signals.
+
+    Parameters
+    ----------
+    errors : (n, k) array
+        Of each run and signal, as root mean squares.
+    weights : (n,) or (n, k) array
+        Lengths of the runs.
+
+    Returns
+    -------
+    float
+    """
     return float(np.sqrt(np.average(errors**2, axis=0, weights=weights).mean()))

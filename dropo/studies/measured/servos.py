@@ -11,6 +11,7 @@ import numpy as np
 from dropo import Diagnose, Diagnosis
 from dropo.core.services.tables import number
 from dropo.core.services.validation import known
+from dropo.diagnosis.findings.replay import overall_error
 from dropo.problems.loading import load
 from dropo.studies.engine.study import Study, Table
 from dropo.studies.engine.work import Work
@@ -108,6 +109,8 @@ def run(item: list[Any]) -> Result:
     seed = int(item[1])
     found: Diagnosis = Diagnose().run(load(name, threads=1), rng=seed)
     replayed = found.to_json()["replay"]
+    counted = _angles(name, replayed["runs"])
+    odd = {one["run"] for one in replayed["odd"] if one["signal"] in counted}
     return {
         "problem": name,
         "seed": seed,
@@ -116,21 +119,19 @@ def run(item: list[Any]) -> Result:
         "seconds": found.wall_time_s,
         "sentences": [cause.sentence for cause in found.causes],
         "motions": replayed["runs"],
-        "odd": sorted(
-            {one["run"] for one in replayed["odd"] if one["signal"] in _angles(name, replayed)}
-        ),
+        "odd": sorted(odd),
     }
 
 
-def _angles(name: str, replayed: dict[str, Any]) -> list[str]:
+def _angles(name: str, motions: Sequence[dict[str, Any]]) -> list[str]:
     """The signals whose errors count."""
-    every = [signal for signal in replayed["runs"][0]["nominal"] if signal.startswith("qpos")]
+    every = [signal for signal in motions[0]["nominal"] if signal.startswith("qpos")]
     return list(MACHINES[name]) or every
 
 
 def _errors(result: Result, side: str) -> np.ndarray[Any, np.dtype[np.float64]]:
     """(n, p) the errors of each angle in each motion [mrad]."""
-    signals = _angles(result["problem"], {"runs": result["motions"]})
+    signals = _angles(result["problem"], result["motions"])
     return np.array([[1e3 * motion[side][one] for one in signals] for motion in result["motions"]])
 
 
@@ -142,15 +143,15 @@ def _overall(result: Result) -> tuple[str, ...]:
     cells = []
     for kept in (np.ones_like(rest), rest):
         for side in ("nominal", "extended"):
-            square = np.average(_errors(result, side)[kept] ** 2, axis=0, weights=seconds[kept])
-            cells.append(number(float(np.sqrt(square.mean())), 3))
+            error = overall_error(_errors(result, side)[kept], seconds[kept])
+            cells.append(number(error, 3))
     odd = ", ".join(str(one + 1) for one in result["odd"]) or "-"
     return (result["problem"], str(len(seconds)), *cells[:2], odd, *cells[2:])
 
 
 def _motions(result: Result) -> list[tuple[str, ...]]:
     """A row for each motion."""
-    signals = _angles(result["problem"], {"runs": result["motions"]})
+    signals = _angles(result["problem"], result["motions"])
     before = _errors(result, "nominal")
     after = _errors(result, "extended")
     rows = []
