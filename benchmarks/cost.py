@@ -23,9 +23,9 @@ from threadpoolctl import threadpool_limits
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.robots import problem_of
-from dropo.core.contracts.fisher_scoring import maximize_locally
 from dropo.core.contracts.problem import Problem
-from dropo.core.services.atomic_write import write_json, write_text
+from dropo.core.contracts.support.fisher_scoring import maximize_locally
+from dropo.core.services.files.atomic_write import write_json, write_text
 from dropo.core.services.tables import number
 from dropo.estimators.dropo import DROPO
 from dropo.families.truncated_gaussian import TruncatedGaussian

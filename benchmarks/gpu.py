@@ -15,7 +15,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from dropo.core.contracts.simulator import Simulator
-from dropo.core.services.atomic_write import write_text
+from dropo.core.services.files.atomic_write import write_text
 from dropo.problems.loading import load
 
 README = Path(__file__).resolve().parent / "README.md"

@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.cost import timed
 from dropo.core.contracts.problem import Problem
-from dropo.core.services.atomic_write import write_text
+from dropo.core.services.files.atomic_write import write_text
 from dropo.estimators.dropo import DROPO
 from dropo.families.truncated_gaussian import TruncatedGaussian
 from dropo.likelihoods.monte_carlo import MonteCarlo

@@ -21,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.robots import block_problem, problem_of
 from dropo.core.contracts.problem import Problem
-from dropo.core.services.atomic_write import write_json, write_text
+from dropo.core.services.files.atomic_write import write_json, write_text
 from dropo.estimators.dropo import DROPO
 
 HERE = Path(__file__).resolve().parent

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.random import Generator
 
 from dropo.core.contracts.problem import Problem
-from dropo.core.records.fit import Fit
+from dropo.core.records.fits.fit import Fit
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.validation import Array
 from dropo.estimators.dropo import DROPO

@@ -1,10 +1,10 @@
 from . import plots as plots
 from ._version import __version__ as __version__
-from .core.contracts.fit_by_name import fit as fit
 from .core.contracts.problem import Problem as Problem
+from .core.contracts.support.fit_by_name import fit as fit
 from .core.numerics.kept_rows import MemorySettings as MemorySettings
-from .core.records.fit import Fit as Fit
-from .core.records.fit import Status as Status
+from .core.records.fits.fit import Fit as Fit
+from .core.records.fits.fit import Status as Status
 from .core.records.parameters import Parameter as Parameter
 from .core.records.parameters import ParameterSpace as ParameterSpace
 from .core.records.task import Task as Task

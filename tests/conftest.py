@@ -92,7 +92,7 @@ class Recorder:
 @pytest.fixture(autouse=True, scope="session")
 def _no_lines_of_progress():
     """Commands say nothing of their progress, however slow the computer is."""
-    from dropo.cli import output
+    from dropo.cli.support import output
 
     output.EVERY = float("inf")
 

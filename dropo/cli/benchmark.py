@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from dropo.cli.output import (
+from dropo.cli.support.output import (
     NOTHING,
     Progress,
     computing_options,
@@ -115,7 +115,7 @@ def run_answer(arguments: argparse.Namespace) -> int:
     InvalidInput
         If the input is refused; nothing is written then.
     """
-    from dropo.core.services.atomic_write import write_json
+    from dropo.core.services.files.atomic_write import write_json
     from dropo.studies.benchmark.answers import answer_all
     from dropo.studies.engine.work import Work
 

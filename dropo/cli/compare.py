@@ -5,8 +5,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from dropo.cli.output import NOTHING, computing_options, executor_option, printing_options, whole
 from dropo.cli.recover import named_variants, part_options, run_and_keep
+from dropo.cli.support.output import (
+    NOTHING,
+    computing_options,
+    executor_option,
+    printing_options,
+    whole,
+)
 
 PROBLEMS = ("slide", "hopper-noisy")
 """What is fitted where no problem is named."""

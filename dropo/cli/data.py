@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dropo.cli.output import (
+from dropo.cli.support.output import (
     NOTHING,
     PARTS,
     Progress,
@@ -224,7 +224,7 @@ def run_inputs(arguments: argparse.Namespace) -> int:
         If the input is refused; nothing is written then.
     """
     from dropo.core.services.errors import Incompatible
-    from dropo.diagnosis.findings.input_choice import choose_problem_input
+    from dropo.diagnosis.findings.premises.input_choice import choose_problem_input
     from dropo.problems.loading import inputs_of, load
 
     names = inputs_of(arguments.problem)

@@ -7,9 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dropo.cli.elsewhere import elsewhere_option, run_elsewhere
-from dropo.cli.folder import RunFolder, run_folder
-from dropo.cli.output import (
+from dropo.cli.support.elsewhere import elsewhere_option, run_elsewhere
+from dropo.cli.support.folder import RunFolder, run_folder
+from dropo.cli.support.output import (
     PARTS,
     Progress,
     computing_options,
@@ -21,7 +21,7 @@ from dropo.cli.output import (
 
 if TYPE_CHECKING:
     from dropo.core.contracts.problem import Problem
-    from dropo.core.services.evaluation_log import EvaluationLog
+    from dropo.core.services.files.evaluation_log import EvaluationLog
     from dropo.diagnosis.regression.result import QuickDiagnosis
     from dropo.diagnosis.result import Diagnosis
 
@@ -146,9 +146,9 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _run(arguments: argparse.Namespace, folder: RunFolder) -> int:
     """Diagnose, print and save; the exit status."""
-    from dropo.cli.record import diagnosis_record, keep_for_report
+    from dropo.cli.support.record import diagnosis_record, keep_for_report
     from dropo.core.services.errors import DropoError
-    from dropo.core.services.evaluation_log import EvaluationLog
+    from dropo.core.services.files.evaluation_log import EvaluationLog
     from dropo.diagnosis.findings.fittable import fittable
     from dropo.problems.file.plain_model import write_extended
 
@@ -183,7 +183,7 @@ def _compare(
     arguments: argparse.Namespace, problem: "Problem", record: dict[str, Any], folder: RunFolder
 ) -> int:
     """Compare every run with the reference runs, print and save; the exit status."""
-    from dropo.cli.record import keep_for_report
+    from dropo.cli.support.record import keep_for_report
     from dropo.diagnosis.reference.compare import check_comparison, compare_with_reference
 
     check_comparison(problem, arguments.reference, arguments.effects)
@@ -207,7 +207,7 @@ def _diagnosis(
         from dropo.diagnosis.regression.quick import QuickDiagnose
 
         return QuickDiagnose().run(problem)
-    from dropo.core.services.progress_file import PROGRESS
+    from dropo.core.services.files.progress_file import PROGRESS
     from dropo.diagnosis.diagnose import Diagnose, DiagnosisSettings
 
     progress = Progress(silent=arguments.quiet, path=folder.file(PROGRESS))

@@ -6,7 +6,13 @@ from pathlib import Path
 from typing import Any
 
 from dropo.cli.fit import variance
-from dropo.cli.output import computing_options, printing_options, show, trusting_option, whole
+from dropo.cli.support.output import (
+    computing_options,
+    printing_options,
+    show,
+    trusting_option,
+    whole,
+)
 
 BESIDE = "beside the policy"
 
@@ -79,7 +85,7 @@ def run(arguments: argparse.Namespace) -> int:
     """
     if arguments.video is not None and not os.environ.get("DISPLAY"):
         os.environ.setdefault("MUJOCO_GL", "egl")  # read when MuJoCo is imported
-    from dropo.core.records.fit import Fit
+    from dropo.core.records.fits.fit import Fit
     from dropo.training.environments import resolve
     from dropo.training.evaluate import evaluate, motion
     from dropo.training.policy import load_policy

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from dropo.cli.output import NOTHING, computing_options, printing_options, show
+from dropo.cli.support.output import NOTHING, computing_options, printing_options, show
 
 
 def add(commands: Any) -> None:

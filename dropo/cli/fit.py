@@ -6,9 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dropo.cli.elsewhere import elsewhere_option, run_elsewhere
-from dropo.cli.folder import RunFolder, run_folder
-from dropo.cli.output import (
+from dropo.cli.support.elsewhere import elsewhere_option, run_elsewhere
+from dropo.cli.support.folder import RunFolder, run_folder
+from dropo.cli.support.output import (
     PARTS,
     Progress,
     computing_options,
@@ -163,12 +163,12 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _run(arguments: argparse.Namespace, folder: RunFolder) -> int:
     """Fit, print and save; the exit status."""
-    from dropo.cli.record import keep_for_report, run_record
-    from dropo.core.contracts.fit_by_name import estimator_for
-    from dropo.core.records.fit import Fit, Status
-    from dropo.core.records.fit_choices import ExcludedSpan, ExcludedSpans
-    from dropo.core.services.evaluation_log import EvaluationLog
-    from dropo.core.services.progress_file import PROGRESS
+    from dropo.cli.support.record import keep_for_report, run_record
+    from dropo.core.contracts.support.fit_by_name import estimator_for
+    from dropo.core.records.fits.fit import Fit, Status
+    from dropo.core.records.fits.fit_choices import ExcludedSpan, ExcludedSpans
+    from dropo.core.services.files.evaluation_log import EvaluationLog
+    from dropo.core.services.files.progress_file import PROGRESS
     from dropo.estimators.support.segment_length import ChooseHorizon
     from dropo.evaluation.predictions import predict
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from dropo.cli.output import NOTHING, Progress, computing_options, printing_options, show
+from dropo.cli.support.output import NOTHING, Progress, computing_options, printing_options, show
 
 
 def add(commands: Any) -> None:

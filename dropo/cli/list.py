@@ -7,7 +7,7 @@ import inspect
 import re
 from typing import Any
 
-from dropo.cli.output import NOTHING, computing_options, printing_options, show
+from dropo.cli.support.output import NOTHING, computing_options, printing_options, show
 
 KINDS = (
     "methods",

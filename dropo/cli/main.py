@@ -32,7 +32,7 @@ from dropo.cli import (
     verify,
 )
 from dropo.cli import list as list_
-from dropo.cli.output import close_standard_output, open_standard_streams
+from dropo.cli.support.output import close_standard_output, open_standard_streams
 from dropo.core.services.errors import BadArgument, DropoError, InvalidInput
 from dropo.core.services.run_warning import DropoWarning
 

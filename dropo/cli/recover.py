@@ -5,8 +5,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dropo.cli.folder import run_folder
-from dropo.cli.output import (
+from dropo.cli.support.folder import run_folder
+from dropo.cli.support.output import (
     Progress,
     computing_options,
     executor_option,

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dropo.cli.output import NOTHING, computing_options, printing_options, show, whole
+from dropo.cli.support.output import NOTHING, computing_options, printing_options, show, whole
 
 if TYPE_CHECKING:
     from dropo.mjmodel.robot_simulator import RobotSimulator
@@ -78,8 +78,8 @@ def run(arguments: argparse.Namespace) -> int:
     InvalidInput
         If the input is refused; nothing is written then.
     """
-    from dropo.core.services.atomic_write import write_bytes
     from dropo.core.services.errors import BadArgument
+    from dropo.core.services.files.atomic_write import write_bytes
     from dropo.report.build import write_page
     from dropo.report.folder import read_result
 

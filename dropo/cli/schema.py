@@ -4,7 +4,7 @@ import argparse
 import json
 from typing import Any
 
-from dropo.cli.output import NOTHING, computing_options, printing_options, show
+from dropo.cli.support.output import NOTHING, computing_options, printing_options, show
 
 SCHEMAS = {
     "problem": ("dropo.problems.file.schema", "ProblemFile"),
@@ -50,7 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
     """
     from importlib import import_module
 
-    from dropo.core.services.file_schema import json_schema
+    from dropo.core.services.files.file_schema import json_schema
     from dropo.core.services.validation import known
 
     module, name = SCHEMAS[known("kind of file", arguments.of, SCHEMAS)]

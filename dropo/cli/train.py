@@ -5,10 +5,10 @@ import hashlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dropo.cli.elsewhere import elsewhere_option, run_elsewhere
 from dropo.cli.fit import variance
-from dropo.cli.folder import RunFolder, run_folder
-from dropo.cli.output import (
+from dropo.cli.support.elsewhere import elsewhere_option, run_elsewhere
+from dropo.cli.support.folder import RunFolder, run_folder
+from dropo.cli.support.output import (
     Progress,
     computing_options,
     printing_options,
@@ -191,7 +191,7 @@ def _algorithm(arguments: argparse.Namespace) -> "Algorithm":
 
 def _distribution(arguments: argparse.Namespace, target: Any) -> "ParameterDistribution | None":
     """The fitted distribution, if it is one of the target's model."""
-    from dropo.core.records.fit import Fit
+    from dropo.core.records.fits.fit import Fit
     from dropo.core.services.errors import BadArgument
     from dropo.training.distributions import Curriculum, predictive
 
@@ -210,7 +210,7 @@ def _refuse_other_model(folder: Path, target: Any) -> None:
     from dropo.core.contracts.problem import Problem
     from dropo.core.records.saved_schema import SavedRun
     from dropo.core.services.errors import Incompatible
-    from dropo.core.services.file_schema import read_saved
+    from dropo.core.services.files.file_schema import read_saved
     from dropo.mjmodel.files.loading import model_sum
     from dropo.mjmodel.robot_simulator import RobotSimulator
 

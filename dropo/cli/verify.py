@@ -6,7 +6,13 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from dropo.cli.output import NOTHING, computing_options, printing_options, show, trusting_option
+from dropo.cli.support.output import (
+    NOTHING,
+    computing_options,
+    printing_options,
+    show,
+    trusting_option,
+)
 
 
 def add(commands: Any) -> None:

@@ -18,10 +18,10 @@ from .contracts.likelihood import LogLikelihood as LogLikelihood
 from .contracts.noise import Noise as Noise
 from .contracts.optimizer import CallbackOptimizer as CallbackOptimizer
 from .contracts.optimizer import Optimizer as Optimizer
-from .contracts.parallel_simulator import ParallelSimulator as ParallelSimulator
 from .contracts.prior import LogPrior as LogPrior
 from .contracts.problem import Problem as Problem
 from .contracts.sampled_likelihood import SampledLikelihood as SampledLikelihood
 from .contracts.sampler import Chains as Chains
 from .contracts.sampler import Sampler as Sampler
 from .contracts.simulator import Simulator as Simulator
+from .contracts.support.parallel_simulator import ParallelSimulator as ParallelSimulator

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import BadFile
-from dropo.core.services.saved_files import NPZ, names_in_npz, read_npy, read_npz
+from dropo.core.services.files.saved_files import NPZ, names_in_npz, read_npy, read_npz
 from dropo.core.services.validation import Array
 
 NEEDED = ("observations", "actions", "terminals")

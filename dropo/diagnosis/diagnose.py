@@ -14,25 +14,20 @@ from dropo.core.contracts.estimator import Progress, silent, with_cost
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import BadArgument
-from dropo.core.services.evaluation_log import EvaluationLog
+from dropo.core.services.files.evaluation_log import EvaluationLog
 from dropo.core.services.tables import number, steps_text
 from dropo.core.services.validation import Array, known, require
 from dropo.data.outliers.without_disturbances import WithoutDisturbances, without_disturbances
 from dropo.diagnosis.far_off.search import Explained, FarOffSearch, FarOffSettings
 from dropo.diagnosis.far_off.start import FarOffLimits, start_of
-from dropo.diagnosis.findings.causes import SETTINGS as CAUSES
-from dropo.diagnosis.findings.causes import causes, covariance_of, leaders, suspects
-from dropo.diagnosis.findings.detectable import Detectable, DetectableSettings, detectable
-from dropo.diagnosis.findings.disturbances import left_out, outlier_runs
-from dropo.diagnosis.findings.every_horizon import (
+from dropo.diagnosis.findings.accuracy.every_horizon import (
     Beyond,
     EveryHorizonSettings,
     beyond_noise,
     in_words,
     worse_after,
 )
-from dropo.diagnosis.findings.figures import figure_data
-from dropo.diagnosis.findings.horizons import (
+from dropo.diagnosis.findings.accuracy.horizons import (
     AfterHorizon,
     Horizon,
     after_horizons,
@@ -41,15 +36,20 @@ from dropo.diagnosis.findings.horizons import (
     signal_noise,
     with_numbers,
 )
-from dropo.diagnosis.findings.miswired import miswired
-from dropo.diagnosis.findings.motion import motion
-from dropo.diagnosis.findings.not_identifiable import undetermined
-from dropo.diagnosis.findings.numerics import numerics, refused_delay, short_delay
-from dropo.diagnosis.findings.remaining import remaining
-from dropo.diagnosis.findings.replay import Replay, replay
+from dropo.diagnosis.findings.accuracy.motion import motion
+from dropo.diagnosis.findings.accuracy.replay import Replay, replay
+from dropo.diagnosis.findings.causes import SETTINGS as CAUSES
+from dropo.diagnosis.findings.causes import causes, covariance_of, leaders, suspects
+from dropo.diagnosis.findings.figures import figure_data
+from dropo.diagnosis.findings.limits.detectable import Detectable, DetectableSettings, detectable
+from dropo.diagnosis.findings.limits.not_identifiable import undetermined
+from dropo.diagnosis.findings.premises.miswired import miswired
+from dropo.diagnosis.findings.premises.numerics import numerics, refused_delay, short_delay
+from dropo.diagnosis.findings.premises.still import Held, hold_still
+from dropo.diagnosis.findings.remains.disturbances import left_out, outlier_runs
+from dropo.diagnosis.findings.remains.remaining import remaining
+from dropo.diagnosis.findings.remains.unexplained_forces import impulses, without_impulses
 from dropo.diagnosis.findings.stability import stability
-from dropo.diagnosis.findings.still import Held, hold_still
-from dropo.diagnosis.findings.unexplained_forces import impulses, without_impulses
 from dropo.diagnosis.laws.discovery import LawSettings, WithLaws, find_laws
 from dropo.diagnosis.parts import Cause, Leader, Remaining
 from dropo.diagnosis.regression.quick import QuickSettings

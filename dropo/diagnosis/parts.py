@@ -7,7 +7,7 @@ from typing import Any, Self
 import numpy as np
 
 from dropo.core.numerics.tails import student_quantile
-from dropo.core.records.fit_parts import number_or_nan, number_or_null
+from dropo.core.records.fits.fit_parts import number_or_nan, number_or_null
 from dropo.core.services.tables import number, steps_text
 
 

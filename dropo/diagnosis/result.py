@@ -10,13 +10,13 @@ import numpy as np
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.figure_data import FigureData
 from dropo.core.records.predictions import Predictions
-from dropo.core.services.atomic_write import write_json
+from dropo.core.services.files.atomic_write import write_json
 from dropo.core.services.tables import Report, Table, number, steps_text
 from dropo.data.outliers.outlier_runs import OutlierRun
-from dropo.diagnosis.findings.detectable import Detectable, detectable_table
-from dropo.diagnosis.findings.disturbances import LeftOut
-from dropo.diagnosis.findings.horizons import Horizon
-from dropo.diagnosis.findings.replay import Replay
+from dropo.diagnosis.findings.accuracy.horizons import Horizon
+from dropo.diagnosis.findings.accuracy.replay import Replay
+from dropo.diagnosis.findings.limits.detectable import Detectable, detectable_table
+from dropo.diagnosis.findings.remains.disturbances import LeftOut
 from dropo.diagnosis.parts import Cause, Leader, Remaining, Suspect, are_stated
 from dropo.diagnosis.regression.result import WiringFault, fault_table
 

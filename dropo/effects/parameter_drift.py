@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 
 from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity, instances_of
-from dropo.core.contracts.time_profile import growing, setting_in
+from dropo.core.contracts.support.time_profile import growing, setting_in
 from dropo.core.services.validation import Array
 
 CHANGING = ("body_mass", "joint_damping", "joint_friction", "actuator_gain", "contact_friction")

@@ -12,9 +12,9 @@ from dropo.core.contracts.interactive_estimator import (
     distribution,
 )
 from dropo.core.contracts.problem import Problem
-from dropo.core.records.fit import Fit, Status
+from dropo.core.records.fits.fit import Fit, Status
+from dropo.core.records.fits.search_records import IntervalHistory
 from dropo.core.records.parameters import ParameterSpace
-from dropo.core.records.search_records import IntervalHistory
 from dropo.core.services.registry import find
 from dropo.core.services.validation import Array, require
 from dropo.estimators.support.distribution_fit import evaluate_fit

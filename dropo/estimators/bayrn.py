@@ -15,8 +15,8 @@ from dropo.core.contracts.interactive_estimator import (
 )
 from dropo.core.contracts.problem import Problem
 from dropo.core.numerics.sobol import sobol_points
-from dropo.core.records.fit import Fit, Status
-from dropo.core.records.search_records import ReturnSearch
+from dropo.core.records.fits.fit import Fit, Status
+from dropo.core.records.fits.search_records import ReturnSearch
 from dropo.core.services.isolated_torch import isolated_torch
 from dropo.core.services.optional_dependencies import need
 from dropo.core.services.registry import find

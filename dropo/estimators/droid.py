@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 
 from dropo.core.contracts.estimator import Estimator, Run
-from dropo.core.contracts.maximize import maximize
 from dropo.core.contracts.problem import Problem
-from dropo.core.records.fit import Fit
-from dropo.core.records.search_records import DistanceSearch
+from dropo.core.contracts.support.maximize import maximize
+from dropo.core.records.fits.fit import Fit
+from dropo.core.records.fits.search_records import DistanceSearch
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.registry import find
 from dropo.core.services.validation import Array, require

@@ -16,15 +16,15 @@ from dropo.core.contracts.likelihood import (
     LogLikelihood,
     RunLikelihood,
 )
-from dropo.core.contracts.maximize import SearchResult, maximize
-from dropo.core.contracts.mean_prior import MeanPrior, mean_places, with_prior, within_prior
 from dropo.core.contracts.noise import Noise
 from dropo.core.contracts.optimizer import Optimizer
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import describe_failures
+from dropo.core.contracts.support.maximize import SearchResult, maximize
+from dropo.core.contracts.support.mean_prior import MeanPrior, mean_places, with_prior, within_prior
 from dropo.core.numerics.kept_rows import MEMORY, MemorySettings
-from dropo.core.records.fit import Fit, Status
-from dropo.core.records.fit_parts import StartFilter
+from dropo.core.records.fits.fit import Fit, Status
+from dropo.core.records.fits.fit_parts import StartFilter
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.start_mean import Start, checked_start, given_start
 from dropo.core.records.trajectories import Ints

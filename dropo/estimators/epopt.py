@@ -9,8 +9,8 @@ from scipy.special import logsumexp
 from dropo.core.contracts.estimator import Estimator, Run
 from dropo.core.contracts.prior import LogPrior
 from dropo.core.contracts.problem import Problem
-from dropo.core.records.fit import Fit, Status
-from dropo.core.records.search_records import ParticlePosterior
+from dropo.core.records.fits.fit import Fit, Status
+from dropo.core.records.fits.search_records import ParticlePosterior
 from dropo.core.services.errors import SimulationFailed
 from dropo.core.services.validation import Array, require
 from dropo.estimators.support.distribution_fit import point_likelihood, posterior_fit

@@ -6,9 +6,9 @@ from typing import Literal
 import numpy as np
 
 from dropo.core.contracts.estimator import Estimator, Run
-from dropo.core.contracts.mean_prior import MeanPrior, within_prior
 from dropo.core.contracts.problem import Problem
-from dropo.core.records.fit import Fit, Status
+from dropo.core.contracts.support.mean_prior import MeanPrior, within_prior
+from dropo.core.records.fits.fit import Fit, Status
 from dropo.core.records.start_mean import Start, checked_start, given_start
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.registry import find

@@ -11,8 +11,8 @@ import numpy as np
 from dropo.core.contracts.estimator import Estimator, Run
 from dropo.core.contracts.prior import LogPrior
 from dropo.core.contracts.problem import Problem
-from dropo.core.records.fit import Fit, Status
-from dropo.core.records.search_records import NeuralPosterior
+from dropo.core.records.fits.fit import Fit, Status
+from dropo.core.records.fits.search_records import NeuralPosterior
 from dropo.core.services.errors import SimulationFailed
 from dropo.core.services.isolated_torch import isolated_torch
 from dropo.core.services.optional_dependencies import need

@@ -14,8 +14,8 @@ from dropo.core.contracts.prior import LogPrior, Prior
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.sampler import Density, Sampler
 from dropo.core.records.draws import ChainTooShort, Draws
-from dropo.core.records.fit import Fit, Status
-from dropo.core.records.fit_parts import PosteriorDiagnostics, PosteriorDraws
+from dropo.core.records.fits.fit import Fit, Status
+from dropo.core.records.fits.fit_parts import PosteriorDiagnostics, PosteriorDraws
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.start_mean import Start, checked_start, given_start
 from dropo.core.services.errors import Incompatible

@@ -9,12 +9,12 @@ import numpy as np
 from dropo.core.contracts.estimator import Estimator, Run
 from dropo.core.contracts.family import Family
 from dropo.core.contracts.likelihood import GroupedLogLikelihood, Groups, LogLikelihood
-from dropo.core.contracts.maximize import SearchResult
-from dropo.core.contracts.mean_prior import MeanPrior
 from dropo.core.contracts.problem import Problem
-from dropo.core.records.fit import Fit
-from dropo.core.records.fit_parts import GroupEffects, VarianceComponentTests, VarianceTest
-from dropo.core.records.fit_report import span
+from dropo.core.contracts.support.maximize import SearchResult
+from dropo.core.contracts.support.mean_prior import MeanPrior
+from dropo.core.records.fits.fit import Fit
+from dropo.core.records.fits.fit_parts import GroupEffects, VarianceComponentTests, VarianceTest
+from dropo.core.records.fits.fit_report import span
 from dropo.core.records.start_mean import Start
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.tables import number, text_table

@@ -13,8 +13,8 @@ from dropo.core.contracts.interactive_estimator import (
     joined,
 )
 from dropo.core.contracts.problem import Problem
-from dropo.core.records.fit import Fit, Status
-from dropo.core.records.search_records import GaussianHistory
+from dropo.core.records.fits.fit import Fit, Status
+from dropo.core.records.fits.search_records import GaussianHistory
 from dropo.core.records.trajectories import Segments, Trajectories
 from dropo.core.services.errors import SimulationFailed
 from dropo.core.services.registry import find

@@ -6,8 +6,8 @@ import numpy as np
 
 from dropo.core.contracts.estimator import Estimator, Run
 from dropo.core.contracts.problem import Problem
-from dropo.core.records.fit import Fit, Status
-from dropo.core.records.search_records import IntervalHistory
+from dropo.core.records.fits.fit import Fit, Status
+from dropo.core.records.fits.search_records import IntervalHistory
 from dropo.core.services.registry import find
 from dropo.core.services.validation import Array, require
 from dropo.estimators.support.summary import summarize

@@ -10,7 +10,7 @@ from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.family import Family
 from dropo.core.contracts.likelihood import LocalLogLikelihood
 from dropo.core.contracts.problem import Problem
-from dropo.core.records.fit_parts import EmulatorCheck
+from dropo.core.records.fits.fit_parts import EmulatorCheck
 from dropo.core.services.registry import find
 from dropo.core.services.validation import Array
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import Simulator
-from dropo.core.records.fit_parts import HeldOutErrors
+from dropo.core.records.fits.fit_parts import HeldOutErrors
 from dropo.core.records.trajectories import Ints, Segments, Signal, Trajectories
 from dropo.core.services.validation import Array, require
 

@@ -12,7 +12,7 @@ from dropo.core.numerics.dependence import Units, unit_sums, variance_of_sum
 from dropo.core.numerics.kept_rows import KeptRows, row_blocks
 from dropo.core.numerics.robust_statistics import deviation
 from dropo.core.numerics.tails import normal_tail, student_tail
-from dropo.core.records.fit_parts import ModelCheck, ResidualSize, ResidualStructure
+from dropo.core.records.fits.fit_parts import ModelCheck, ResidualSize, ResidualStructure
 from dropo.core.records.independent_units import units_of
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array

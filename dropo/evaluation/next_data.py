@@ -7,7 +7,7 @@ import numpy as np
 
 from dropo.core.contracts.problem import Problem
 from dropo.core.numerics.linear_gaussian import scores_and_information
-from dropo.core.records.fit import Fit
+from dropo.core.records.fits.fit import Fit
 from dropo.core.records.trajectories import Segments, Trajectories
 from dropo.core.services.validation import Array, float_array, known, require
 from dropo.evaluation.open_loop import open_loop

@@ -8,7 +8,7 @@ from scipy.special import ndtr
 
 from dropo.core.contracts.problem import Problem
 from dropo.core.numerics.tails import student_below
-from dropo.core.records.fit import Fit
+from dropo.core.records.fits.fit import Fit
 from dropo.core.records.predictions import LEVEL, Predictions, Side
 from dropo.core.records.trajectories import Ints, Segments
 from dropo.core.services.validation import Array

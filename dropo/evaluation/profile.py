@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dropo.core.contracts.fisher_scoring import maximize_locally
 from dropo.core.contracts.likelihood import LocalLikelihood, LocalLogLikelihood
 from dropo.core.contracts.noise import Epsilon, Noise
 from dropo.core.contracts.problem import Problem
+from dropo.core.contracts.support.fisher_scoring import maximize_locally
 from dropo.core.numerics.tails import chi2_quantile
-from dropo.core.records.fit import Fit
+from dropo.core.records.fits.fit import Fit
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.registry import find

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dropo.core.contracts.fisher_scoring import maximize_locally
 from dropo.core.contracts.likelihood import LocalLogLikelihood
+from dropo.core.contracts.support.fisher_scoring import maximize_locally
 from dropo.core.numerics.tails import chi2_tail
-from dropo.core.records.fit_parts import VarianceComponentTests, VarianceTest
+from dropo.core.records.fits.fit_parts import VarianceComponentTests, VarianceTest
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array

@@ -6,13 +6,13 @@ from typing import Any
 
 from dropo._version import __version__
 from dropo.core.contracts.problem import Problem
-from dropo.core.records.fit import Fit
+from dropo.core.records.fits.fit import Fit
 from dropo.core.records.saved_schema import SavedRun, read_diagnosis
-from dropo.core.services.atomic_write import write_bytes, write_json, write_text
 from dropo.core.services.errors import BadFile, Incompatible
-from dropo.core.services.file_schema import read_saved
+from dropo.core.services.files.atomic_write import write_bytes, write_json, write_text
+from dropo.core.services.files.file_schema import read_saved
+from dropo.core.services.files.saved_files import read_json
 from dropo.core.services.registry import find
-from dropo.core.services.saved_files import read_json
 from dropo.core.services.tables import Report, Table
 from dropo.exports.support.subject import Subject, Written, simulator_of, subject_of_fit
 from dropo.mjmodel.files.loading import model_sum

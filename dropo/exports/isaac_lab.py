@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 from dropo._version import __version__
-from dropo.core.services.strict_yaml import format_yaml
+from dropo.core.services.files.strict_yaml import format_yaml
 from dropo.exports.support.subject import (
     NO_SPREAD,
     CannotHold,

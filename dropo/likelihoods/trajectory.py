@@ -14,15 +14,15 @@ from scipy.optimize import lsq_linear
 
 from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.family import Family
-from dropo.core.contracts.fisher_scoring import maximize_locally
 from dropo.core.contracts.likelihood import LogLikelihood, RunFit, RunLikelihood
-from dropo.core.contracts.maximize import SearchResult
-from dropo.core.contracts.mean_prior import MeanPrior, local_with_prior
 from dropo.core.contracts.noise import Epsilon, NoiseModel
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import Simulator
+from dropo.core.contracts.support.fisher_scoring import maximize_locally
+from dropo.core.contracts.support.maximize import SearchResult
+from dropo.core.contracts.support.mean_prior import MeanPrior, local_with_prior
 from dropo.core.numerics.tails import chi2_tail, normal_of_tail, student_below
-from dropo.core.records.fit import Status
+from dropo.core.records.fits.fit import Status
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.trajectories import Ints, Segments, Trajectories
 from dropo.core.services.errors import Incompatible, SimulationFailed

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dropo.core.services.atomic_write import atomic_write, write_json, write_npz, write_text
 from dropo.core.services.errors import BadFile
+from dropo.core.services.files.atomic_write import atomic_write, write_json, write_npz, write_text
 from dropo.core.services.validation import Array
 from dropo.logs.problem_text import format_problem, held_out_runs, segment_steps
 from dropo.mjmodel.joints import ModelJoints

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dropo.core.services.errors import BadFile
-from dropo.core.services.file_content import FileContent, describe_options, describe_value
+from dropo.core.services.files.file_content import FileContent, describe_options, describe_value
 from dropo.logs.units import UNITS, units_of
 from dropo.mjmodel.joints import Joint, ModelJoints
 from dropo.mjmodel.sensors import Sensor
@@ -227,7 +227,7 @@ def read_mapping(path: str | Path, robot: ModelJoints) -> Mapping:
     BadFile
         If keys, names, units or widths are not those of the model.
     """
-    from dropo.core.services.file_schema import read_file
+    from dropo.core.services.files.file_schema import read_file
     from dropo.logs.mapping_schema import MappingFile
 
     return _make_mapping(read_file(Path(path), MappingFile, KIND), robot)
@@ -255,7 +255,7 @@ def check_mapping(path: str | Path, content: dict[str, Any], robot: ModelJoints)
     BadFile
         As of `read_mapping`.
     """
-    from dropo.core.services.file_schema import validated
+    from dropo.core.services.files.file_schema import validated
     from dropo.logs.mapping_schema import MappingFile
 
     return _make_mapping(validated(Path(path), content, MappingFile), robot)

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, ConfigDict, Field, WithJsonSchema, model_validator
 
-from dropo.core.services.file_schema import (
+from dropo.core.services.files.file_schema import (
     BY_SHAPE,
     LIST,
     SINGLE,

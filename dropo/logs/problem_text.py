@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from dropo.core.services.strict_yaml import format_yaml
+from dropo.core.services.files.strict_yaml import format_yaml
 from dropo.core.services.validation import Array
 from dropo.mjmodel.dynamics.drives import servo_of
 from dropo.mjmodel.dynamics.forces import inverse_forces

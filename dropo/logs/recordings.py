@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import BadFile
-from dropo.core.services.file_content import describe_options, describe_value
+from dropo.core.services.files.file_content import describe_options, describe_value
 from dropo.core.services.validation import Array
 from dropo.logs.mapping import Channel, Mapping, Source
 from dropo.logs.readers.reader import Arrays, Log, Progress, open_log, part_progress

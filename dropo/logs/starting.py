@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from dropo.core.services.errors import BadArgument, BadFile
-from dropo.core.services.strict_yaml import format_yaml, read_yaml
+from dropo.core.services.files.strict_yaml import format_yaml, read_yaml
 from dropo.core.services.tables import Report, Table, number
 from dropo.core.services.validation import Array
 from dropo.data.checks.sensors import unit_of

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from dropo.core.contracts.prior import Prior, read_prior
-from dropo.core.records.fit import Fit
+from dropo.core.records.fits.fit import Fit
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.services.optional_dependencies import need
 from dropo.core.services.validation import Array

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dropo.core.records.fit import Fit
+from dropo.core.records.fits.fit import Fit
 from dropo.core.records.predictions import Predictions
 from dropo.plots.style import (
     AFTER,

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from dropo.core.services.atomic_write import write_text
-from dropo.core.services.saved_files import refusing_faults
+from dropo.core.services.files.atomic_write import write_text
+from dropo.core.services.files.saved_files import refusing_faults
 from dropo.report.folder import RESULT, Result, read_result
 from dropo.report.pages.diagnosis_page import diagnosis_page
 from dropo.report.pages.fit_page import fit_page

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from dropo.core.records.figure_data import FigureData
-from dropo.core.records.fit import Fit
-from dropo.core.records.fit_files import WRITTEN
+from dropo.core.records.fits.fit import Fit
+from dropo.core.records.fits.fit_files import WRITTEN
 from dropo.core.records.predictions import FILE, Predictions
 from dropo.core.records.saved_schema import (
     REGRESSION,
@@ -16,9 +16,9 @@ from dropo.core.records.saved_schema import (
     read_diagnosis,
 )
 from dropo.core.services.errors import BadFile
-from dropo.core.services.file_schema import Saved, check_content, read_saved
-from dropo.core.services.progress_file import LOCK, Step, read_progress
-from dropo.core.services.saved_files import read_json
+from dropo.core.services.files.file_schema import Saved, check_content, read_saved
+from dropo.core.services.files.progress_file import LOCK, Step, read_progress
+from dropo.core.services.files.saved_files import read_json
 from dropo.report.history import History, read_history
 
 RESULT = "a folder that `dropo fit --out` or `dropo diagnose --out` wrote"

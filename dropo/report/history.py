@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from dropo.core.services.evaluation_log import LOG, read_log
-from dropo.core.services.saved_files import refusing_faults
+from dropo.core.services.files.evaluation_log import LOG, read_log
+from dropo.core.services.files.saved_files import refusing_faults
 from dropo.core.services.validation import Array
 
 

@@ -7,7 +7,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from dropo.core.services.strict_yaml import read_yaml
+from dropo.core.services.files.strict_yaml import read_yaml
 from dropo.diagnosis.parts import effect_in_words
 from dropo.report.folder import Result
 from dropo.report.page import notes, plain

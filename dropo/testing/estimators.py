@@ -4,7 +4,7 @@ import numpy as np
 
 from dropo.core.contracts.estimator import Estimator
 from dropo.core.contracts.problem import Problem
-from dropo.core.records.fit import Fit, Status
+from dropo.core.records.fits.fit import Fit, Status
 from dropo.core.services.validation import Array
 from dropo.testing.optimizers import no_global_stream
 

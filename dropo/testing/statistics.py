@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from scipy.stats import binomtest, chi2, kstest
 
 from dropo.core.contracts.problem import Problem
-from dropo.core.records.fit import Fit
+from dropo.core.records.fits.fit import Fit
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.tables import Report, Table, number

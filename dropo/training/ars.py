@@ -9,8 +9,8 @@ import numpy as np
 from numpy.random import Generator
 
 from dropo.core.records.trajectories import Ints
-from dropo.core.services.atomic_write import write_npz
-from dropo.core.services.saved_files import read_npz, require_shapes
+from dropo.core.services.files.atomic_write import write_npz
+from dropo.core.services.files.saved_files import read_npz, require_shapes
 from dropo.core.services.validation import Array, require
 from dropo.training.batched_env import BatchedEnv
 from dropo.training.policy import LinearPolicy, linear

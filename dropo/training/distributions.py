@@ -6,7 +6,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.random import Generator
 
-from dropo.core.records.fit import Fit
+from dropo.core.records.fits.fit import Fit
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.services.validation import Array, float_array, require
 

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
-from dropo.core.services.atomic_write import atomic_write, write_json
 from dropo.core.services.errors import Incompatible
+from dropo.core.services.files.atomic_write import atomic_write, write_json
+from dropo.core.services.files.saved_files import read_json, refusing_faults
 from dropo.core.services.optional_dependencies import need
-from dropo.core.services.saved_files import read_json, refusing_faults
 from dropo.core.services.validation import Array, require
 from dropo.training.policy import Policy, refuse_untrusted, write, written_limits
 from dropo.training.setup import Progress, TrainingSetup

@@ -9,9 +9,9 @@ from typing import Any, NoReturn
 import numpy as np
 
 from dropo._version import __version__
-from dropo.core.services.atomic_write import write_text
 from dropo.core.services.errors import Incompatible
-from dropo.core.services.saved_files import read_json, refusing_faults
+from dropo.core.services.files.atomic_write import write_text
+from dropo.core.services.files.saved_files import read_json, refusing_faults
 from dropo.core.services.validation import Array, float_array
 
 FILE = "policy.json"
@@ -276,7 +276,7 @@ def load_policy(path: str | Path, *, trusted: bool = True) -> Policy:
         path = path / FILE
     elif path.suffix == ".zip":
         path = path.with_suffix(".json")
-    from dropo.core.services.file_schema import check_content
+    from dropo.core.services.files.file_schema import check_content
     from dropo.training.policy_schema import SCHEMAS, SavedPolicy
 
     content = read_json(path, EXPECTED)

@@ -4,7 +4,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from dropo.core.services.file_schema import Saved
+from dropo.core.services.files.file_schema import Saved
 
 Row = Annotated[list[float], Field(min_length=1)]
 Ends = list[float | None]

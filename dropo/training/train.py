@@ -10,7 +10,7 @@ from numpy.random import Generator
 from numpy.typing import ArrayLike
 
 from dropo.core.contracts.effect import ActiveEffects
-from dropo.core.records.fit import Fit
+from dropo.core.records.fits.fit import Fit
 from dropo.training.ars import ARS
 from dropo.training.distributions import Curriculum, ParameterDistribution, Predictive
 from dropo.training.environments import Target, resolve

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dropo.cli.main import main
-from dropo.cli.output import Progress
+from dropo.cli.support.output import Progress
 from dropo.problems.file.writer import write_problem
 from dropo.problems.loading import load
 from dropo.problems.measured.external_data import find_data

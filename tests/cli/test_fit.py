@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 
 from dropo.cli.main import main
-from dropo.cli.output import STOPPING
+from dropo.cli.support.output import STOPPING
 from dropo.core.contracts.problem import Problem
-from dropo.core.records.fit import Fit
-from dropo.core.services.evaluation_log import read_log
+from dropo.core.records.fits.fit import Fit
+from dropo.core.services.files.evaluation_log import read_log
 from dropo.core.services.tables import estimate
 from dropo.problems.loading import load
 from dropo.studies.unlogged_states.machines import ARM, simulate_log
@@ -301,7 +301,7 @@ def test_a_refusal_later_in_the_run_writes_nothing(
 ) -> None:
     """Also where some evaluations were recorded already."""
     from dropo.core.services.errors import BadArgument
-    from dropo.core.services.journal import Journal
+    from dropo.core.services.files.journal import Journal
 
     append = Journal.append
     out = problem.parent / "out"

@@ -9,16 +9,16 @@ from typing import Any
 
 import pytest
 
-from dropo.cli.folder import run_folder
 from dropo.cli.main import main
+from dropo.cli.support.folder import run_folder
 from dropo.core.services.errors import BadFile, Incompatible, InvalidInput
-from dropo.core.services.progress_file import LOCK
+from dropo.core.services.files.progress_file import LOCK
 
 RECORD = {"command": "test", "seed": 0}
 HOLD = """
 import sys
 from pathlib import Path
-from dropo.cli.folder import run_folder
+from dropo.cli.support.folder import run_folder
 with run_folder(Path(sys.argv[1])):
     print("at work", flush=True)
     sys.stdin.read()

@@ -13,10 +13,10 @@ from pathlib import Path
 
 import pytest
 
-from dropo.cli import output
 from dropo.cli.main import _parser, main
-from dropo.cli.output import STOPPING as STOPPED
-from dropo.cli.output import Progress, show, time_left
+from dropo.cli.support import output
+from dropo.cli.support.output import STOPPING as STOPPED
+from dropo.cli.support.output import Progress, show, time_left
 from dropo.core.services.tables import Report, Table
 from dropo.diagnosis.search.selection import STOPPING
 

@@ -11,7 +11,7 @@ import pytest
 
 from dropo.cli.main import main
 from dropo.core.services import registry as catalogue
-from dropo.core.services.journal import read_lines
+from dropo.core.services.files.journal import read_lines
 from dropo.studies.engine.study import Study, Table
 
 DONE: list[int] = []
@@ -170,7 +170,7 @@ def test_a_journal_of_another_version_is_refused(tmp_path, monkeypatch, capsys):
     assert main(["recover", "toy", *out]) == 1
     before = (tmp_path / ".toy.jsonl").read_bytes()
     monkeypatch.setattr("dropo.studies.engine.work.__version__", "0.0.7")
-    monkeypatch.setattr("dropo.core.services.saved_files.__version__", "9.0")
+    monkeypatch.setattr("dropo.core.services.files.saved_files.__version__", "9.0")
     capsys.readouterr()
     assert main(["recover", "toy", *out]) == 2
     assert 'and "0.0.7" here (use another --out' in capsys.readouterr().err

@@ -9,7 +9,7 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from dropo.cli.main import main
-from dropo.core.services.strict_yaml import read_yaml
+from dropo.core.services.files.strict_yaml import read_yaml
 from dropo.problems.file.writer import write_problem
 from tests.models.hidden_in_arm import UPPER, problem
 from tests.models.malformed import MAPPING, PROBLEM

@@ -9,7 +9,7 @@ import pytest
 
 from dropo.diagnosis import diagnose
 from dropo.diagnosis.diagnose import Diagnose, DiagnosisSettings
-from dropo.diagnosis.findings.every_horizon import EveryHorizonSettings
+from dropo.diagnosis.findings.accuracy.every_horizon import EveryHorizonSettings
 from dropo.diagnosis.search.arithmetic import Rivals
 from dropo.diagnosis.search.whitening import NoiseSettings
 from dropo.problems.file.estimated_velocities import with_velocities

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dropo.core.contracts.problem import Problem
-from dropo.core.contracts.time_profile import place_in_data
+from dropo.core.contracts.support.time_profile import place_in_data
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.registry import find
 from dropo.problems.file.writer import write_problem

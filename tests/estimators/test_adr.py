@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dropo.core.records.fit import Status
+from dropo.core.records.fits.fit import Status
 from dropo.core.services.errors import BadArgument
 from dropo.estimators.adr import ADR
 from dropo.problems.simulated.slide import slide

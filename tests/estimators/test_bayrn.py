@@ -6,9 +6,9 @@ import pytest
 pytest.importorskip("botorch", reason="needs the extra bo")
 
 from dropo.core.contracts.interactive_estimator import Answer
-from dropo.core.records.fit import Status
+from dropo.core.records.fits.fit import Status
 from dropo.core.services.errors import BadArgument, MissingPackage
-from dropo.core.services.evaluation_log import EvaluationLog
+from dropo.core.services.files.evaluation_log import EvaluationLog
 from dropo.estimators.bayrn import BayRn, posterior_mean, propose
 from dropo.families.truncated_gaussian import TruncatedGaussian
 from dropo.problems.simulated.slide import slide

@@ -10,11 +10,11 @@ import pytest
 from scipy.stats import kstest
 
 from dropo.core.contracts.problem import Problem
-from dropo.core.records.fit import Status
+from dropo.core.records.fits.fit import Status
 from dropo.core.records.parameters import Parameter, ParameterSpace
 from dropo.core.records.trajectories import Signal
 from dropo.core.services.errors import BadArgument, Incompatible, SimulationFailed, UnknownName
-from dropo.core.services.evaluation_log import EvaluationLog
+from dropo.core.services.files.evaluation_log import EvaluationLog
 from dropo.core.services.registry import names
 from dropo.estimators.dropo import DROPO
 from dropo.families.truncated_gaussian import SD as CUT_SD

@@ -5,7 +5,7 @@ import pytest
 
 from dropo.cli.main import main
 from dropo.core.contracts.problem import Problem
-from dropo.core.records.fit import Fit, Status
+from dropo.core.records.fits.fit import Fit, Status
 from dropo.core.services.errors import BadArgument, Incompatible
 from dropo.estimators.epopt import EPOpt
 from dropo.simulators.toy import LinearSimulator, simulate

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dropo.core.records.fit import Status
+from dropo.core.records.fits.fit import Status
 from dropo.core.records.parameters import Parameter
 from dropo.core.services.errors import BadArgument, SimulationFailed, UnknownName
 from dropo.estimators.least_squares import LeastSquares

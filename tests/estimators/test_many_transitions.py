@@ -11,7 +11,7 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.numerics import kept_rows
 from dropo.core.numerics.kept_rows import FileRows, MemorySettings
 from dropo.core.records import segment_blocks
-from dropo.core.records.fit import Status
+from dropo.core.records.fits.fit import Status
 from dropo.estimators.dropo import DROPO
 from dropo.estimators.support.trust_region import OuterIterations, TrustRegionSettings
 from dropo.evaluation import model_check

@@ -6,7 +6,7 @@ import pytest
 pytest.importorskip("sbi", reason="needs the extra sbi")
 
 from dropo.core.contracts.problem import Problem
-from dropo.core.records.fit import Status
+from dropo.core.records.fits.fit import Status
 from dropo.core.services.errors import BadArgument, MissingPackage, UnknownName
 from dropo.estimators import npe
 from dropo.estimators.npe import NPE

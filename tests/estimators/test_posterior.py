@@ -8,9 +8,9 @@ import pytest
 from dropo.core.contracts.noise import Noise
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.draws import Draws
-from dropo.core.records.fit import Fit, Status
+from dropo.core.records.fits.fit import Fit, Status
 from dropo.core.services.errors import BadArgument, Incompatible, UnknownName
-from dropo.core.services.evaluation_log import EvaluationLog
+from dropo.core.services.files.evaluation_log import EvaluationLog
 from dropo.core.services.registry import find
 from dropo.estimators.dropo import DROPO
 from dropo.estimators.posterior import PointLikelihood, Posterior, evaluate_draws

@@ -7,9 +7,9 @@ import pytest
 from scipy import stats
 
 from dropo.core.contracts.estimator import Run
-from dropo.core.contracts.mean_prior import MeanPrior
 from dropo.core.contracts.problem import Problem
-from dropo.core.records.fit import Fit
+from dropo.core.contracts.support.mean_prior import MeanPrior
+from dropo.core.records.fits.fit import Fit
 from dropo.core.records.parameters import Parameter, ParameterSpace
 from dropo.core.services.errors import BadArgument, Incompatible, UnknownName
 from dropo.estimators.dropo import DROPO

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy import optimize, stats
 
-from dropo.core.contracts.fisher_scoring import maximize_locally
 from dropo.core.contracts.problem import Problem
-from dropo.core.records.fit import Fit
+from dropo.core.contracts.support.fisher_scoring import maximize_locally
+from dropo.core.records.fits.fit import Fit
 from dropo.core.services.errors import Incompatible, UnknownName
 from dropo.core.services.registry import find
 from dropo.estimators.dropo import DROPO

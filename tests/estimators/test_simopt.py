@@ -7,9 +7,9 @@ import pytest
 
 from dropo.core.contracts.estimator import Estimator
 from dropo.core.contracts.problem import Problem
-from dropo.core.records.fit import Status
+from dropo.core.records.fits.fit import Status
 from dropo.core.services.errors import BadArgument
-from dropo.core.services.evaluation_log import EvaluationLog
+from dropo.core.services.files.evaluation_log import EvaluationLog
 from dropo.estimators.simopt import SimOpt, divergence, step
 from dropo.simulators.toy import LinearSimulator, simulate
 

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from dropo import LeastSquares
-from dropo.core.records.fit_choices import HorizonChoice, HorizonTrial
+from dropo.core.records.fits.fit_choices import HorizonChoice, HorizonTrial
 from dropo.core.records.predictions import LEVEL
 from dropo.evaluation.predictions import SETTINGS, predict
 from dropo.problems.simulated.slide import slide

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dropo.core.contracts.problem import Problem
-from dropo.core.records.fit import Fit, Status
+from dropo.core.records.fits.fit import Fit, Status
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.registry import find
 from dropo.mjmodel.fields import FieldParameter

@@ -23,7 +23,7 @@ from numpy.random import Generator
 
 from dropo.cli.main import main
 from dropo.core.services import registry
-from dropo.core.services.journal import read_lines
+from dropo.core.services.files.journal import read_lines
 from dropo.optimizers.samplers.emcee import Emcee
 from dropo.studies.engine.study import Study, Table
 from tests.faults.fuzz import build_inputs
@@ -51,7 +51,7 @@ IMPORTED = (
     "emcee",
     "ruamel.yaml",
     "scipy.stats",
-    "dropo.cli.record",
+    "dropo.cli.support.record",
     "dropo.core.records.saved_schema",
     "dropo.diagnosis.diagnose",
     "dropo.estimators.dropo",

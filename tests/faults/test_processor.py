@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from dropo.core.services.errors import InvalidInput
-from dropo.core.services.evaluation_log import EvaluationLog
+from dropo.core.services.files.evaluation_log import EvaluationLog
 
 FIT = ("fit", "slide", "--likelihood", "monte-carlo", "--draws", "20", "--budget", "200", "--quiet")
 

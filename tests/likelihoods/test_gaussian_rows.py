@@ -10,8 +10,8 @@ import pytest
 from scipy import stats
 
 from dropo.core.contracts.estimator import Run
-from dropo.core.contracts.fisher_scoring import maximize_locally
 from dropo.core.contracts.noise import Noise, NoiseModel
+from dropo.core.contracts.support.fisher_scoring import maximize_locally
 from dropo.core.numerics import kept_rows
 from dropo.core.records import segment_blocks
 from dropo.core.records.parameters import Parameter

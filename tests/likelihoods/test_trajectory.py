@@ -8,7 +8,7 @@ import pytest
 from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.noise import Noise
 from dropo.core.services.errors import Incompatible, SimulationFailed
-from dropo.core.services.evaluation_log import EvaluationLog
+from dropo.core.services.files.evaluation_log import EvaluationLog
 from dropo.estimators.dropo import DROPO
 from dropo.families.truncated_gaussian import TruncatedGaussian
 from dropo.likelihoods.trajectory import Trajectory, TrajectorySettings

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 
 from dropo.core.contracts.problem import Problem
-from dropo.core.records.fit import Fit, Status
+from dropo.core.records.fits.fit import Fit, Status
 from dropo.core.records.task import Task
 from dropo.core.records.trajectories import Trajectories
 from dropo.families.full_gaussian import FullGaussian

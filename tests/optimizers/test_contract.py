@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from dropo.core.contracts.estimator import Run
-from dropo.core.contracts.maximize import maximize
 from dropo.core.contracts.optimizer import CallbackOptimizer, Optimizer
 from dropo.core.contracts.problem import Problem
-from dropo.core.records.fit import Status
+from dropo.core.contracts.support.maximize import maximize
+from dropo.core.records.fits.fit import Status
 from dropo.core.records.parameters import Parameter, ParameterSpace
 from dropo.core.services.errors import BadArgument, Incompatible
-from dropo.core.services.evaluation_log import EvaluationLog
+from dropo.core.services.files.evaluation_log import EvaluationLog
 from dropo.core.services.registry import find, names
 from dropo.simulators.toy import LinearSimulator, simulate
 from dropo.testing import check_optimizer

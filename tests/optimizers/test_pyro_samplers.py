@@ -8,7 +8,7 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.records.draws import Draws
 from dropo.core.records.parameters import Parameter, ParameterSpace
 from dropo.core.services.errors import BadArgument, Incompatible, InvalidInput
-from dropo.core.services.evaluation_log import EvaluationLog
+from dropo.core.services.files.evaluation_log import EvaluationLog
 from dropo.optimizers.samplers.pyro_nuts import PyroNuts
 from dropo.optimizers.samplers.pyro_svi import PyroSvi, _rising
 from dropo.optimizers.support.real_line import RealLine

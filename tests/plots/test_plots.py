@@ -24,8 +24,8 @@ from dropo.core.records.figure_data import (
     Sizes,
     Sums,
 )
-from dropo.core.records.fit_choices import NoiseTrial, NoiseTuning
-from dropo.core.records.fit_parts import PosteriorDiagnostics, PosteriorDraws
+from dropo.core.records.fits.fit_choices import NoiseTrial, NoiseTuning
+from dropo.core.records.fits.fit_parts import PosteriorDiagnostics, PosteriorDraws
 from dropo.core.services.errors import BadArgument, UnknownName
 from dropo.evaluation.predictions import predict
 from dropo.plots.causes import in_order, words

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dropo import load
-from dropo.core.services.strict_yaml import format_yaml, read_yaml
+from dropo.core.services.files.strict_yaml import format_yaml, read_yaml
 from dropo.estimators.least_squares import LeastSquares
 from tests.models.hidden_in_arm import UPPER
 from tests.models.hidden_in_arm import problem as arm_problem

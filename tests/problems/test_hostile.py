@@ -98,7 +98,7 @@ def test_problem_files(
 
 
 def test_aliases_that_say_little_are_read(folder: Path) -> None:
-    from dropo.core.services.strict_yaml import read_yaml
+    from dropo.core.services.files.strict_yaml import read_yaml
 
     (folder / "a.yaml").write_text("a: &one [1, 2]\nb: *one\nc: [*one, *one]\n")
     assert read_yaml(folder / "a.yaml", "a file")["c"] == [[1, 2], [1, 2]]

@@ -10,7 +10,7 @@ import pytest
 from dropo import Diagnose, import_logs, load
 from dropo.core.services.registry import names
 from dropo.data.outliers.input_choice import choose_input
-from dropo.diagnosis.findings.input_choice import choose_problem_input
+from dropo.diagnosis.findings.premises.input_choice import choose_problem_input
 from dropo.estimators.dropo import DROPO
 from dropo.likelihoods.emulated import Emulated
 from dropo.problems.loading import inputs_of

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from dropo.core.services.errors import BadArgument, BadFile, InvalidInput, UnknownName
+from dropo.core.services.files.strict_yaml import format_yaml, read_yaml
 from dropo.core.services.registry import find
-from dropo.core.services.strict_yaml import format_yaml, read_yaml
 from dropo.problems.loading import load
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 from tests.models.problem_files import REFUSALS, TEXT, XML, simulate

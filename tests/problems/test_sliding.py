@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dropo.core.contracts.fit_by_name import estimator_for
+from dropo.core.contracts.support.fit_by_name import estimator_for
 from dropo.core.services.errors import BadArgument
 from dropo.problems.panda.reaching import joint_path
 from dropo.problems.panda.sliding import (

@@ -7,8 +7,8 @@ import pytest
 
 from dropo import Diagnose, fit, hide
 from dropo.core.services.errors import BadFile, Incompatible, InvalidInput
+from dropo.core.services.files.strict_yaml import format_yaml, read_yaml
 from dropo.core.services.registry import find, names
-from dropo.core.services.strict_yaml import format_yaml, read_yaml
 from dropo.diagnosis.search.library import declared
 from dropo.effects.law import law_of_text
 from dropo.mjmodel.fields import FieldParameter

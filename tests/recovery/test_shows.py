@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from dropo.core.contracts.fit_by_name import fit as fit_as_commanded
-from dropo.core.records.fit import Status
+from dropo.core.contracts.support.fit_by_name import fit as fit_as_commanded
+from dropo.core.records.fits.fit import Status
 from dropo.core.services.registry import find
 from dropo.estimators.dropo import DROPO
 from dropo.problems.measured.external_data import find_data

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dropo.core.records.fit import Fit
+from dropo.core.records.fits.fit import Fit
 from dropo.core.records.parameters import Parameter, ParameterSpace
 from dropo.estimators.dropo import DROPO
 from dropo.estimators.least_squares import LeastSquares

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from dropo.core.services.errors import BadFile
-from dropo.core.services.evaluation_log import read_log
-from dropo.core.services.journal import format_line
+from dropo.core.services.files.evaluation_log import read_log
+from dropo.core.services.files.journal import format_line
 from dropo.report.build import write_report
 from dropo.report.folder import read_result
 from dropo.report.history import read_history

@@ -14,7 +14,7 @@ import pytest
 
 from dropo.cli.main import main
 from dropo.core.services.errors import BadArgument, BadFile
-from dropo.core.services.progress_file import LOCK, PROGRESS
+from dropo.core.services.files.progress_file import LOCK, PROGRESS
 from dropo.report.live import LivePage, live_server
 
 

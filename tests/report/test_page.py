@@ -8,9 +8,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from dropo.core.records.fit import Fit
+from dropo.core.records.fits.fit import Fit
 from dropo.core.records.predictions import Predictions
-from dropo.core.services.evaluation_log import read_log
+from dropo.core.services.files.evaluation_log import read_log
 from dropo.core.services.tables import estimate
 from dropo.report.build import write_report
 from dropo.report.page import Cell, percent, shortened, table

@@ -8,7 +8,7 @@ import pytest
 import scipy.integrate
 
 from dropo.core.contracts.problem import Problem
-from dropo.core.records.fit import Status
+from dropo.core.records.fits.fit import Status
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import BadArgument
 from dropo.core.services.registry import find

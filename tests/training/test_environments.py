@@ -10,7 +10,7 @@ import pytest
 from gymnasium.envs.mujoco.hopper_v5 import HopperEnv
 from gymnasium.utils.env_checker import check_env
 
-from dropo.core.records.fit import Fit
+from dropo.core.records.fits.fit import Fit
 from dropo.core.records.parameters import Parameter, ParameterSpace
 from dropo.core.records.task import Task
 from dropo.core.services.errors import BadArgument, Incompatible, SimulationFailed, UnknownName

@@ -12,9 +12,9 @@ from threadpoolctl import threadpool_limits
 
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import Simulator
-from dropo.core.records.fit import Fit
+from dropo.core.records.fits.fit import Fit
 from dropo.core.services.errors import Incompatible
-from dropo.core.services.evaluation_log import EvaluationLog
+from dropo.core.services.files.evaluation_log import EvaluationLog
 from dropo.core.services.validation import Array, check_shape, require
 
 Progress = Callable[[float, str], None]

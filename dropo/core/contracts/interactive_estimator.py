@@ -12,7 +12,7 @@ from numpy.random import Generator
 
 from dropo.core.contracts.estimator import Estimator, Run
 from dropo.core.contracts.problem import Problem
-from dropo.core.records.fit import Fit, Status
+from dropo.core.records.fits.fit import Fit, Status
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.registry import find

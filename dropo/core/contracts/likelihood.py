@@ -24,8 +24,8 @@ from dropo.core.services.validation import Array, check_shape, float_array
 
 if TYPE_CHECKING:
     from dropo.core.contracts.estimator import Run
-    from dropo.core.contracts.maximize import SearchResult
     from dropo.core.contracts.problem import Problem
+    from dropo.core.contracts.support.maximize import SearchResult
 
 
 AUTOMATIC = "auto"

@@ -8,9 +8,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from dropo.core.contracts.parallel_simulator import ParallelSimulator
 from dropo.core.contracts.prior import Prior, read_prior
 from dropo.core.contracts.simulator import Simulator
+from dropo.core.contracts.support.parallel_simulator import ParallelSimulator
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.task import Task
 from dropo.core.records.trajectories import Reset, Segments, Trajectories

@@ -1,5 +1,4 @@
-"""What passes between the rooms: parameters, trajectories, fits and their parts, predictions.
+"""What passes between the rooms: parameters, trajectories, predictions; fits in `fits/`.
 
-They import services and numerics. Add a frozen dataclass that checks its arrays when it is made; a
-part of a fit also says its entries of fit.json and its arrays of fit.npz (see `fit_parts`).
+They import services and numerics. Add a frozen dataclass that checks its arrays when it is made.
 """

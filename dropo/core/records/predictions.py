@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dropo.core.services.atomic_write import write_npz
-from dropo.core.services.saved_files import read_npz, require_shapes
+from dropo.core.services.files.atomic_write import write_npz
+from dropo.core.services.files.saved_files import read_npz, require_shapes
 from dropo.core.services.validation import Array
 
 FILE = "predictions.npz"

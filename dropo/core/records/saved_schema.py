@@ -10,9 +10,9 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from dropo.core.records.figure_data import FigureData
-from dropo.core.records.fit import Status
-from dropo.core.services.file_schema import Saved, check_content
-from dropo.core.services.saved_files import read_json
+from dropo.core.records.fits.fit import Status
+from dropo.core.services.files.file_schema import Saved, check_content
+from dropo.core.services.files.saved_files import read_json
 
 Count = Annotated[int, Field(ge=0)]
 Known = float | None

@@ -5,7 +5,7 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from dropo.core.records.fit import Fit
+from dropo.core.records.fits.fit import Fit
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.services.errors import BadArgument
 from dropo.core.services.validation import Array, float_array, known

@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 from dropo.core.contracts.estimator import Progress
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import Simulator
-from dropo.core.services.evaluation_log import EvaluationLog
+from dropo.core.services.files.evaluation_log import EvaluationLog
 from dropo.core.services.validation import Array
 from dropo.diagnosis.far_off.families import with_families
-from dropo.diagnosis.far_off.fit import Fitted, Known, OutputError, OutputErrorSettings
 from dropo.diagnosis.far_off.model import GAIN, FarOffModel
 from dropo.diagnosis.far_off.motions import Motions, MotionSettings, motions_of, outer_spread
+from dropo.diagnosis.far_off.output_error import Fitted, Known, OutputError, OutputErrorSettings
 from dropo.diagnosis.far_off.ties import ties_of
 from dropo.diagnosis.search.bounds import at_bounds, totals_of
 from dropo.diagnosis.search.library import robot_of

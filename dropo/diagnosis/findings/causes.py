@@ -12,7 +12,7 @@ from dropo.core.numerics.robust_covariance import few_units_sandwich
 from dropo.core.numerics.tails import student_tail
 from dropo.core.services.tables import number
 from dropo.core.services.validation import Array
-from dropo.diagnosis.findings.experiment import Experiment, experiment
+from dropo.diagnosis.findings.limits.experiment import Experiment, experiment
 from dropo.diagnosis.laws.discovery import FoundLaw
 from dropo.diagnosis.parts import (
     Alternative,

@@ -16,8 +16,8 @@ from dropo.core.records.figure_data import (
     Sums,
 )
 from dropo.core.services.validation import Array
-from dropo.diagnosis.findings.remaining import force_names
-from dropo.diagnosis.findings.unexplained_forces import Unexplained, unexplained_force
+from dropo.diagnosis.findings.remains.remaining import force_names
+from dropo.diagnosis.findings.remains.unexplained_forces import Unexplained, unexplained_force
 from dropo.diagnosis.laws.curve import law_curve
 from dropo.diagnosis.search.confirmation import SelectionSettings, gain_of
 from dropo.diagnosis.search.invariance import (

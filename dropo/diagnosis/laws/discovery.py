@@ -10,7 +10,7 @@ import numpy as np
 from dropo.core.contracts.effect import EffectInstance, StepState
 from dropo.core.contracts.problem import Problem
 from dropo.core.services.validation import Array
-from dropo.diagnosis.findings.horizons import horizons
+from dropo.diagnosis.findings.accuracy.horizons import horizons
 from dropo.diagnosis.laws.forces import ResidualForces, residual_forces, step_errors
 from dropo.diagnosis.laws.pursuit import (
     Proposal,

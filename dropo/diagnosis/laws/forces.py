@@ -12,7 +12,7 @@ import numpy as np
 
 from dropo.core.contracts.effect import ActiveEffects, RecordedPast, StepState, magnitudes_of
 from dropo.core.services.validation import Array
-from dropo.diagnosis.findings.unexplained_forces import impulses_of, responses_to
+from dropo.diagnosis.findings.remains.unexplained_forces import impulses_of, responses_to
 from dropo.diagnosis.search.linearization import Library, LinearizedWindows
 from dropo.diagnosis.search.trials import State
 from dropo.diagnosis.search.whitening import Whitener, learn_noise

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from dropo.core.services.atomic_write import write_json
+from dropo.core.services.files.atomic_write import write_json
 from dropo.core.services.tables import Report, Table, number
 from dropo.diagnosis.parts import Estimate
 

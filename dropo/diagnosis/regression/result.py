@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from dropo.core.contracts.problem import Problem
-from dropo.core.services.atomic_write import write_json
+from dropo.core.services.files.atomic_write import write_json
 from dropo.core.services.tables import Report, Table, number
 from dropo.diagnosis.parts import Cause
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from dropo.core.services.evaluation_log import EvaluationLog
+from dropo.core.services.files.evaluation_log import EvaluationLog
 from dropo.core.services.validation import Array
 from dropo.diagnosis.search.confirmation import SelectionSettings, is_confirmed
 from dropo.diagnosis.search.linearization import Library, linearize, shift_linearization

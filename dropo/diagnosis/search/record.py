@@ -11,7 +11,7 @@ from typing import TypeVar
 import numpy as np
 
 from dropo.core.contracts.simulator import Simulator
-from dropo.core.services.evaluation_log import EvaluationLog
+from dropo.core.services.files.evaluation_log import EvaluationLog
 from dropo.core.services.validation import Array
 from dropo.diagnosis.search.linearization import (
     Library,

@@ -18,7 +18,7 @@ from dropo.core.contracts.effect import EffectInstance
 from dropo.core.contracts.estimator import Progress, silent
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import SimulationFailed
-from dropo.core.services.evaluation_log import EvaluationLog
+from dropo.core.services.files.evaluation_log import EvaluationLog
 from dropo.core.services.validation import Array
 from dropo.diagnosis.search.confirmation import (
     SETTINGS,

@@ -11,7 +11,7 @@ from dropo.core.contracts.likelihood import LocalLikelihood, LocalLogLikelihood
 from dropo.core.contracts.noise import Noise, NoiseModel
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.draws import Draws
-from dropo.core.records.fit import Fit
+from dropo.core.records.fits.fit import Fit
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.services.registry import find
 from dropo.core.services.validation import Array

@@ -8,8 +8,8 @@ import numpy as np
 from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.interactive_estimator import distribution
 from dropo.core.contracts.problem import Problem
-from dropo.core.records.fit import Fit, Status
-from dropo.core.records.search_records import SearchRecord
+from dropo.core.records.fits.fit import Fit, Status
+from dropo.core.records.fits.search_records import SearchRecord
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.registry import find
 from dropo.core.services.validation import Array

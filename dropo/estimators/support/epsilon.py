@@ -11,8 +11,8 @@ from scipy.special import gammaln
 from dropo.core.contracts.estimator import Progress, Run
 from dropo.core.contracts.problem import Problem
 from dropo.core.numerics.diverged_simulations import flat
-from dropo.core.records.fit import Fit, Status
-from dropo.core.records.fit_choices import NoiseTrial, NoiseTuning
+from dropo.core.records.fits.fit import Fit, Status
+from dropo.core.records.fits.fit_choices import NoiseTrial, NoiseTuning
 from dropo.core.services.validation import Array
 from dropo.estimators.support.point_estimate import estimate, misfit
 

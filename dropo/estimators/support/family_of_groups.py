@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from dropo.core.contracts.family import Family
-from dropo.core.contracts.fisher_scoring import maximize_locally
 from dropo.core.contracts.likelihood import GroupedLogLikelihood, LocalLogLikelihood
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import Simulator
-from dropo.core.records.fit import Fit
+from dropo.core.contracts.support.fisher_scoring import maximize_locally
+from dropo.core.records.fits.fit import Fit
 from dropo.core.records.trajectories import Segments
 from dropo.core.services.registry import find
 from dropo.core.services.validation import Array

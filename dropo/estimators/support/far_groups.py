@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dropo.core.contracts.estimator import Run
-from dropo.core.contracts.fisher_scoring import maximize_locally
 from dropo.core.contracts.likelihood import GroupedLogLikelihood
-from dropo.core.contracts.maximize import SearchResult
-from dropo.core.contracts.mean_prior import MeanPrior, local_with_prior
+from dropo.core.contracts.support.fisher_scoring import maximize_locally
+from dropo.core.contracts.support.maximize import SearchResult
+from dropo.core.contracts.support.mean_prior import MeanPrior, local_with_prior
 from dropo.core.services.validation import Array
 
 

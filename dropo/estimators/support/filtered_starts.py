@@ -9,16 +9,16 @@ from numpy.typing import NDArray
 from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.family import Family
 from dropo.core.contracts.likelihood import LocalLogLikelihood
-from dropo.core.contracts.maximize import SearchResult
-from dropo.core.contracts.mean_prior import MeanPrior
 from dropo.core.contracts.noise import Noise
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import STEP, Simulator, describe_failures
+from dropo.core.contracts.support.maximize import SearchResult
+from dropo.core.contracts.support.mean_prior import MeanPrior
 from dropo.core.numerics.finite_differences import axial_design, difference_quotients
 from dropo.core.numerics.kalman import Sensors, predict, update
 from dropo.core.numerics.tails import chi2_of_tail
-from dropo.core.records.fit import Status
-from dropo.core.records.fit_parts import StartFilter
+from dropo.core.records.fits.fit import Status
+from dropo.core.records.fits.fit_parts import StartFilter
 from dropo.core.records.trajectories import Segments
 from dropo.core.services.errors import Incompatible, SimulationFailed
 from dropo.core.services.validation import Array

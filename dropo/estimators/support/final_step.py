@@ -7,9 +7,9 @@ import numpy as np
 from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.family import Family
 from dropo.core.contracts.likelihood import LocalLogLikelihood
-from dropo.core.contracts.maximize import SearchResult
-from dropo.core.contracts.mean_prior import MeanPrior, mean_places
 from dropo.core.contracts.problem import Problem
+from dropo.core.contracts.support.maximize import SearchResult
+from dropo.core.contracts.support.mean_prior import MeanPrior, mean_places
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
 

@@ -6,10 +6,10 @@ import numpy as np
 
 from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.likelihood import LocalLogLikelihood
-from dropo.core.contracts.mean_prior import MeanPrior
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import Simulator
-from dropo.core.records.fit import Fit, Status
+from dropo.core.contracts.support.mean_prior import MeanPrior
+from dropo.core.records.fits.fit import Fit, Status
 from dropo.core.records.trajectories import Ints, Segments
 from dropo.core.services.validation import Array
 from dropo.estimators.support.standard_errors import local_jacobian

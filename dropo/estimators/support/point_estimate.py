@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dropo.core.contracts.estimator import Run
-from dropo.core.contracts.mean_prior import MeanPrior
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import describe_failures
+from dropo.core.contracts.support.mean_prior import MeanPrior
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.services.errors import SimulationFailed
 from dropo.core.services.validation import Array, float_array

@@ -9,8 +9,8 @@ import numpy as np
 from dropo.core.contracts.estimator import Estimator, Run
 from dropo.core.contracts.likelihood import AUTOMATIC
 from dropo.core.contracts.problem import Problem
-from dropo.core.records.fit import Fit, Status
-from dropo.core.records.fit_choices import HorizonChoice, HorizonTrial
+from dropo.core.records.fits.fit import Fit, Status
+from dropo.core.records.fits.fit_choices import HorizonChoice, HorizonTrial
 from dropo.core.records.trajectories import Ints, Trajectories
 from dropo.core.services.errors import BadArgument, Incompatible, SimulationFailed
 from dropo.core.services.validation import Array, require

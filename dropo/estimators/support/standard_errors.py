@@ -6,8 +6,8 @@ import numpy as np
 
 from dropo.core.contracts.family import Family
 from dropo.core.contracts.likelihood import LocalLogLikelihood
-from dropo.core.contracts.mean_prior import MeanPrior, mean_places
 from dropo.core.contracts.problem import Problem
+from dropo.core.contracts.support.mean_prior import MeanPrior, mean_places
 from dropo.core.numerics.dependence import independent
 from dropo.core.numerics.kept_rows import MEMORY, KeptRows, MemorySettings, keep_rows, row_blocks
 from dropo.core.numerics.linear_gaussian import scores_and_information

@@ -9,12 +9,12 @@ import numpy as np
 from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.family import Family
 from dropo.core.contracts.likelihood import LocalLogLikelihood, LogLikelihood
-from dropo.core.contracts.mean_prior import MeanPrior
 from dropo.core.contracts.prior import describe
 from dropo.core.contracts.problem import Problem
+from dropo.core.contracts.support.mean_prior import MeanPrior
 from dropo.core.numerics.kept_rows import MEMORY, MemorySettings
-from dropo.core.records.fit import Fit, Status
-from dropo.core.records.fit_parts import ModelCheck, PriorUse
+from dropo.core.records.fits.fit import Fit, Status
+from dropo.core.records.fits.fit_parts import ModelCheck, PriorUse
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.services.errors import SimulationFailed
 from dropo.core.services.validation import Array

@@ -15,17 +15,17 @@ import numpy as np
 
 from dropo.core.contracts.estimator import Run, silent
 from dropo.core.contracts.family import Family
-from dropo.core.contracts.fisher_scoring import maximize_locally
 from dropo.core.contracts.likelihood import LocalLikelihood, LocalLogLikelihood
-from dropo.core.contracts.maximize import SearchResult, maximize
-from dropo.core.contracts.mean_prior import MeanPrior, local_with_prior, mean_places
 from dropo.core.contracts.noise import Epsilon
 from dropo.core.contracts.optimizer import Optimizer
 from dropo.core.contracts.problem import Problem
-from dropo.core.records.fit import Status
+from dropo.core.contracts.support.fisher_scoring import maximize_locally
+from dropo.core.contracts.support.maximize import SearchResult, maximize
+from dropo.core.contracts.support.mean_prior import MeanPrior, local_with_prior, mean_places
+from dropo.core.records.fits.fit import Status
 from dropo.core.records.trajectories import Segments
 from dropo.core.services.errors import SimulationFailed
-from dropo.core.services.evaluation_log import EvaluationLog
+from dropo.core.services.files.evaluation_log import EvaluationLog
 from dropo.core.services.registry import find
 from dropo.core.services.tables import duration_text
 from dropo.core.services.validation import Array

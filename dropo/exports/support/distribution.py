@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dropo.core.numerics.standard_distributions import NORMAL, TRUNCATED_NORMAL, UNIFORM
-from dropo.core.records.fit import Fit
+from dropo.core.records.fits.fit import Fit
 from dropo.core.services.registry import find
 from dropo.core.services.validation import Array
 

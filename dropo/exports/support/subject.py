@@ -14,7 +14,7 @@ import numpy as np
 
 from dropo.core.contracts.effect import ActiveEffects, EffectInstance
 from dropo.core.contracts.problem import Problem
-from dropo.core.records.fit import Fit
+from dropo.core.records.fits.fit import Fit
 from dropo.core.services.errors import DropoError, Incompatible
 from dropo.core.services.tables import number
 from dropo.core.services.validation import Array

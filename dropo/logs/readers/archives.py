@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dropo.core.services.errors import BadFile
-from dropo.core.services.saved_files import NPZ, names_in_npz, read_npz
+from dropo.core.services.files.saved_files import NPZ, names_in_npz, read_npz
 from dropo.logs.readers.reader import Arrays, Log, Progress, expand_columns
 
 RUN_COLUMN = "run"

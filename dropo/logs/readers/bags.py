@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from dropo.core.services.errors import BadFile, InvalidInput
-from dropo.core.services.file_content import describe_options
+from dropo.core.services.files.file_content import describe_options
 from dropo.logs.readers.messages import LOG_TIME, STAMP, columns_of, make_getter
 from dropo.logs.readers.reader import Arrays, Log, Progress, join_blocks, package
 

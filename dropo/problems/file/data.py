@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TypeGuard, cast
 
 from dropo.core.records.trajectories import Trajectories
-from dropo.core.services.file_content import FileContent
+from dropo.core.services.files.file_content import FileContent
 from dropo.data.reading import MINARI, read, run_names
 from dropo.problems.file.schema import HeldOutEntry, ProblemFile
 from dropo.simulators.mujoco.simulator import MujocoSimulator

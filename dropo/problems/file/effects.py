@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity
-from dropo.core.services.file_content import FileContent, describe_options, describe_value
+from dropo.core.services.files.file_content import FileContent, describe_options, describe_value
 from dropo.core.services.registry import find, names
 from dropo.core.services.validation import Array
 from dropo.effects.law import law_instance

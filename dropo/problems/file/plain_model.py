@@ -15,8 +15,8 @@ import numpy as np
 
 from dropo.core.contracts.effect import ActiveEffects, EffectInstance, magnitudes_of
 from dropo.core.contracts.problem import Problem
-from dropo.core.services.atomic_write import write_npz, write_text
 from dropo.core.services.errors import BadFile
+from dropo.core.services.files.atomic_write import write_npz, write_text
 from dropo.core.services.source_text import SourceText
 from dropo.core.services.validation import Array
 from dropo.mjmodel.numbers import changed_numbers

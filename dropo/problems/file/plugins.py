@@ -4,7 +4,7 @@ import os
 from pathlib import Path
 
 from dropo.core.services.errors import BadEntry
-from dropo.core.services.file_content import FileContent
+from dropo.core.services.files.file_content import FileContent
 from dropo.core.services.plugin_files import is_loaded, load_plugins
 from dropo.problems.file.schema import ProblemFile
 

@@ -13,8 +13,8 @@ from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.start_mean import given_start
 from dropo.core.records.trajectories import Reset, Trajectories
 from dropo.core.services.errors import BadEntry
-from dropo.core.services.file_content import FileContent
-from dropo.core.services.file_schema import read_file
+from dropo.core.services.files.file_content import FileContent
+from dropo.core.services.files.file_schema import read_file
 from dropo.core.services.validation import Array
 from dropo.data.checks.check import outside_control_range
 from dropo.data.reading import inputs_of

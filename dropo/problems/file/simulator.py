@@ -8,7 +8,7 @@ from typing import cast
 
 import mujoco
 
-from dropo.core.services.file_content import FileContent, describe_value
+from dropo.core.services.files.file_content import FileContent, describe_value
 from dropo.mjmodel.fields import (
     PREFIXES,
     Binding,

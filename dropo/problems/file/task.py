@@ -13,7 +13,7 @@ import numpy as np
 from dropo.core.records.task import Task
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import BadEntry, BadFile
-from dropo.core.services.file_content import FileContent, describe_value
+from dropo.core.services.files.file_content import FileContent, describe_value
 from dropo.core.services.validation import Array
 from dropo.problems.file.schema import FUNCTION, ProblemFile, TaskEntry
 from dropo.simulators.mujoco.simulator import MujocoSimulator

@@ -7,9 +7,9 @@ import numpy as np
 
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Trajectories
-from dropo.core.services.atomic_write import write_npz, write_text
 from dropo.core.services.errors import Incompatible
-from dropo.core.services.strict_yaml import format_yaml
+from dropo.core.services.files.atomic_write import write_npz, write_text
+from dropo.core.services.files.strict_yaml import format_yaml
 from dropo.core.services.validation import Array
 from dropo.mjmodel.fields import FieldParameter
 from dropo.problems.file.effects import make_effect_entry

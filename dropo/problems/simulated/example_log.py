@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from dropo.core.records.trajectories import Trajectories
-from dropo.core.services.atomic_write import write_text
+from dropo.core.services.files.atomic_write import write_text
 from dropo.core.services.validation import Array
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 

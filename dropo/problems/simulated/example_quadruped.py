@@ -14,8 +14,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from dropo.core.services.atomic_write import write_text
 from dropo.core.services.errors import SimulationFailed
+from dropo.core.services.files.atomic_write import write_text
 from dropo.core.services.validation import Array
 from dropo.mjmodel.joints import reference_pose
 from dropo.mjmodel.numbers import derive_constants

@@ -8,9 +8,9 @@ import numpy as np
 
 from dropo import plots
 from dropo.core.records.figure_data import FigureData
-from dropo.core.records.fit_choices import ExcludedSpan
-from dropo.diagnosis.findings.detectable import Detectable
-from dropo.diagnosis.findings.replay import OddReplay
+from dropo.core.records.fits.fit_choices import ExcludedSpan
+from dropo.diagnosis.findings.accuracy.replay import OddReplay
+from dropo.diagnosis.findings.limits.detectable import Detectable
 from dropo.diagnosis.parts import (
     Alternative,
     Cause,

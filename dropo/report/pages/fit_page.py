@@ -6,9 +6,9 @@ import numpy as np
 
 from dropo import plots
 from dropo.core.contracts.prior import Prior
-from dropo.core.records.fit import Fit, Status
-from dropo.core.records.fit_parts import PosteriorDraws
-from dropo.core.records.fit_report import INTERVAL, span, z_scores
+from dropo.core.records.fits.fit import Fit, Status
+from dropo.core.records.fits.fit_parts import PosteriorDraws
+from dropo.core.records.fits.fit_report import INTERVAL, span, z_scores
 from dropo.core.services.tables import estimate
 from dropo.plots.distribution import correlated_pairs
 from dropo.report import parts

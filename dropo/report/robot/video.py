@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dropo.core.records.predictions import Predictions
-from dropo.core.services.atomic_write import atomic_write
+from dropo.core.services.files.atomic_write import atomic_write
 from dropo.core.services.optional_dependencies import need
 from dropo.core.services.validation import Array
 from dropo.report.robot.camera import camera_of

@@ -6,7 +6,7 @@ from typing import Any
 from dropo import Diagnose, Diagnosis
 from dropo.core.contracts.problem import Problem
 from dropo.core.services.errors import BadFile
-from dropo.core.services.saved_files import read_json
+from dropo.core.services.files.saved_files import read_json
 from dropo.core.services.validation import nearest
 from dropo.problems.loading import load
 from dropo.studies.benchmark.sets import PROTOCOL, VERSION

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from dropo.core.services.errors import BadFile
-from dropo.core.services.saved_files import read_json
+from dropo.core.services.files.saved_files import read_json
 from dropo.studies.benchmark.answers import Answers, Cause
 from dropo.studies.benchmark.sets import TRUTH, VERSION
 from dropo.studies.engine.study import Table

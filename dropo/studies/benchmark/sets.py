@@ -14,7 +14,7 @@ import numpy as np
 from dropo.core.contracts.effect import EffectInstance
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Trajectories
-from dropo.core.services.atomic_write import write_json
+from dropo.core.services.files.atomic_write import write_json
 from dropo.core.services.registry import find
 from dropo.core.services.validation import Array, known, require
 from dropo.mjmodel.options import integrator

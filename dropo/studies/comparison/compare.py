@@ -13,7 +13,7 @@ import numpy as np
 
 from dropo.core.contracts.estimator import Progress, silent
 from dropo.core.contracts.problem import Problem
-from dropo.core.records.fit import Fit
+from dropo.core.records.fits.fit import Fit
 from dropo.core.services.errors import BadArgument, DropoError
 from dropo.core.services.validation import Array, require
 from dropo.problems.record import problem_record

@@ -9,8 +9,8 @@ import numpy as np
 
 from dropo.core.contracts.estimator import Estimator
 from dropo.core.contracts.problem import Problem
-from dropo.core.records.fit import Fit, Status
-from dropo.core.services.evaluation_log import Answer, EvaluationLog
+from dropo.core.records.fits.fit import Fit, Status
+from dropo.core.services.files.evaluation_log import Answer, EvaluationLog
 from dropo.core.services.validation import Array
 from dropo.studies.engine.work import Work
 

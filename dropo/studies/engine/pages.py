@@ -8,11 +8,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from dropo.core.services.atomic_write import write_json, write_text
 from dropo.core.services.errors import BadFile
-from dropo.core.services.journal import describe_differences
+from dropo.core.services.files.atomic_write import write_json, write_text
+from dropo.core.services.files.journal import describe_differences
+from dropo.core.services.files.saved_files import read_json
 from dropo.core.services.run_warning import DropoWarning
-from dropo.core.services.saved_files import read_json
 from dropo.studies.engine.study import Study
 
 

@@ -6,9 +6,9 @@ from itertools import product
 from typing import Any
 
 from dropo.core.contracts.estimator import Estimator
-from dropo.core.contracts.fit_by_name import estimator_for
 from dropo.core.contracts.likelihood import AUTOMATIC
 from dropo.core.contracts.problem import Problem
+from dropo.core.contracts.support.fit_by_name import estimator_for
 from dropo.core.services.errors import BadArgument, Incompatible
 from dropo.core.services.registry import find
 from dropo.core.services.validation import require

@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 from dropo._version import __version__
 from dropo.core.contracts.estimator import Progress, silent
 from dropo.core.services.daemon_threads import DaemonThreads
-from dropo.core.services.journal import Journal
+from dropo.core.services.files.journal import Journal
 from dropo.core.services.plugin_files import plugin_sums
 
 ANSWERS = "the finished tasks of a study, one JSON line each"

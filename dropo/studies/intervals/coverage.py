@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from dropo.core.contracts.estimator import Estimator
-from dropo.core.records.fit import Fit
+from dropo.core.records.fits.fit import Fit
 from dropo.core.services.validation import Array, require
 from dropo.estimators.dropo import DROPO
 from dropo.estimators.least_squares import LeastSquares

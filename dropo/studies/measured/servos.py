@@ -11,7 +11,7 @@ import numpy as np
 from dropo import Diagnose, Diagnosis
 from dropo.core.services.tables import number
 from dropo.core.services.validation import known
-from dropo.diagnosis.findings.replay import overall_error
+from dropo.diagnosis.findings.accuracy.replay import overall_error
 from dropo.problems.loading import load
 from dropo.studies.engine.study import Study, Table
 from dropo.studies.engine.work import Work

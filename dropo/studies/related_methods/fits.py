@@ -12,7 +12,7 @@ from numpy.random import Generator
 from dropo.core.contracts.estimator import Estimator
 from dropo.core.contracts.interactive_estimator import Answer, distribution
 from dropo.core.contracts.problem import Problem
-from dropo.core.records.fit import Fit
+from dropo.core.records.fits.fit import Fit
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.validation import Array
 from dropo.estimators.adr import ADR

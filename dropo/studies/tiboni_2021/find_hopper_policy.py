@@ -19,7 +19,7 @@ import numpy as np
 from numpy.random import Generator
 
 from dropo.core.records.trajectories import Ints
-from dropo.core.services.atomic_write import write_text
+from dropo.core.services.files.atomic_write import write_text
 from dropo.core.services.validation import Array
 from dropo.mjmodel.options import physics_step
 from dropo.problems.hopper.data import HopperPolicy, healthy, observe, start_states

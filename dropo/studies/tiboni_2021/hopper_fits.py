@@ -12,7 +12,7 @@ import numpy as np
 
 from dropo.core.contracts.estimator import Estimator
 from dropo.core.contracts.problem import Problem
-from dropo.core.records.fit import Fit
+from dropo.core.records.fits.fit import Fit
 from dropo.core.services.errors import BadFile
 from dropo.core.services.validation import Array
 from dropo.estimators.droid import DROID

@@ -12,7 +12,7 @@ from dropo import Diagnose
 from dropo.core.contracts.estimator import Estimator
 from dropo.core.contracts.interactive_estimator import distribution
 from dropo.core.contracts.problem import Problem
-from dropo.core.records.fit import Fit
+from dropo.core.records.fits.fit import Fit
 from dropo.core.services.registry import find
 from dropo.core.services.validation import Array
 from dropo.estimators.droid import DROID

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.family import Family
 from dropo.core.contracts.likelihood import LocalLogLikelihood
-from dropo.core.contracts.maximize import SearchResult
 from dropo.core.contracts.noise import Noise
 from dropo.core.contracts.problem import Problem
-from dropo.core.records.fit import Status
+from dropo.core.contracts.support.maximize import SearchResult
+from dropo.core.records.fits.fit import Status
 from dropo.core.services.errors import SimulationFailed
 from dropo.core.services.validation import Array
 from dropo.estimators.support.epsilon import noise_scale
