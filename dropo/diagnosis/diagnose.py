@@ -37,7 +37,7 @@ from dropo.diagnosis.findings.accuracy.horizons import (
     with_numbers,
 )
 from dropo.diagnosis.findings.accuracy.motion import motion
-from dropo.diagnosis.findings.accuracy.replay import Replay, replay
+from dropo.diagnosis.findings.accuracy.replay import WholeRunReplay, replay
 from dropo.diagnosis.findings.causes import SETTINGS as CAUSES
 from dropo.diagnosis.findings.causes import causes, covariance_of, leaders, suspects
 from dropo.diagnosis.findings.figures import figure_data
@@ -65,7 +65,7 @@ from dropo.diagnosis.search.refit import other_noise
 from dropo.diagnosis.search.review import Review, merge, review, reviews_so_far
 from dropo.diagnosis.search.selection import STOPPING, Selection
 from dropo.diagnosis.search.trials import Batch, State
-from dropo.diagnosis.search.whitening import Noise, NoiseSettings, white
+from dropo.diagnosis.search.whitening import WhitenessSettings, WindowNoise, white
 from dropo.diagnosis.search.window_length import (
     WindowLengthSettings,
     choose_length,
@@ -90,7 +90,7 @@ class DiagnosisSettings:
         When an effect is accepted.
     window_length : WindowLengthSettings
         How the windows' horizon is chosen.
-    noise : NoiseSettings
+    noise : WhitenessSettings
         When the sensors' noise is not taken to be white.
     horizons : EveryHorizonSettings
         When errors after a horizon that is printed speak against an effect, or the verdict.
@@ -122,7 +122,7 @@ class DiagnosisSettings:
     judged: int = 48
     selection: SelectionSettings = field(default_factory=SelectionSettings)
     window_length: WindowLengthSettings = field(default_factory=WindowLengthSettings)
-    noise: NoiseSettings = field(default_factory=NoiseSettings)
+    noise: WhitenessSettings = field(default_factory=WhitenessSettings)
     horizons: EveryHorizonSettings = field(default_factory=EveryHorizonSettings)
     detectable: DetectableSettings = field(default_factory=DetectableSettings)
     laws: LawSettings = field(default_factory=LawSettings)
@@ -732,7 +732,7 @@ class _Setup:
     free: Ints
     count: int
     wiring: tuple[str, ...]
-    noise: Noise | None = None
+    noise: WindowNoise | None = None
     refused: Mapping[str, str] = field(default_factory=dict)
     won: float = 0.0
     worse: Mapping[str, Leader] = field(default_factory=dict)
@@ -800,7 +800,7 @@ class _Setup:
         noise = self._first_noise(theta)
         return self.selection.as_it_is(self.train, self.test, theta, noise, free, accepted)
 
-    def _first_noise(self, theta: Array) -> Noise:
+    def _first_noise(self, theta: Array) -> WindowNoise:
         """The noise guessed from single steps, unless it is known to be coloured."""
         if self.noise is not None:
             return self.noise
@@ -827,7 +827,7 @@ class _Searched:
     laws: WithLaws | None = None
 
 
-def _with_noise_left(setup: _Setup, before: State | None, settings: NoiseSettings) -> _Setup:
+def _with_noise_left(setup: _Setup, before: State | None, settings: WhitenessSettings) -> _Setup:
     """A setup with noise that is coloured, where the model before says so of these windows."""
     if before is None or setup.explained is not None:
         return setup
@@ -846,7 +846,7 @@ def _with_noise_left(setup: _Setup, before: State | None, settings: NoiseSetting
 
 def _solved(
     setup: _Setup,
-    settings: NoiseSettings,
+    settings: WhitenessSettings,
     disturbed: Callable[[_Setup, "_Searched"], WithoutDisturbances | None],
 ) -> "tuple[_Setup, _Searched, WithoutDisturbances | None]":
     """What a search ends with, the setup that led to it, and what is left where that found
@@ -1033,7 +1033,7 @@ def _errors_without_and_with(
     return [(errors.overall, everything.overall) for errors in without]
 
 
-def _replayed(setup: _Setup, searched: _Searched) -> Replay | None:
+def _replayed(setup: _Setup, searched: _Searched) -> WholeRunReplay | None:
     """Whole runs held out, by commands alone, where there are such."""
     data = setup.problem.held_out
     if data is None:

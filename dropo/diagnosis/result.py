@@ -14,7 +14,7 @@ from dropo.core.services.files.atomic_write import write_json
 from dropo.core.services.tables import Report, Table, number, steps_text
 from dropo.data.outliers.outlier_runs import OutlierRun
 from dropo.diagnosis.findings.accuracy.horizons import Horizon
-from dropo.diagnosis.findings.accuracy.replay import Replay
+from dropo.diagnosis.findings.accuracy.replay import WholeRunReplay
 from dropo.diagnosis.findings.limits.detectable import Detectable, detectable_table
 from dropo.diagnosis.findings.remains.disturbances import LeftOut
 from dropo.diagnosis.parts import Cause, Leader, Remaining, Suspect, are_stated
@@ -102,7 +102,7 @@ class Diagnosis(Report):
         Spans in which something acts that no command explains, which were left out.
     outlier_runs : tuple of OutlierRun
         Runs that disagree with the others.
-    replay : Replay or None
+    replay : WholeRunReplay or None
         Whole runs held out, by commands alone, where the model is far off.
     figures : FigureData or None
         What figures are drawn from.
@@ -142,7 +142,7 @@ class Diagnosis(Report):
     numerics: tuple[str, ...] = ()
     disturbances: LeftOut | None = None
     outlier_runs: tuple[OutlierRun, ...] = ()
-    replay: Replay | None = None
+    replay: WholeRunReplay | None = None
     figures: FigureData | None = None
     motion: Predictions | None = None
     detectable: tuple[Detectable, ...] = ()

@@ -187,7 +187,7 @@ def law_of_text(context: EffectContext, text: str) -> EffectInstance:
     return law_instance(context, target, formula, variant)
 
 
-class _Place:
+class _LawPlace:
     """Where a law acts: its variables, the unit of its value, and the hook."""
 
     def __init__(
@@ -200,7 +200,7 @@ class _Place:
         self.arguments = arguments
 
 
-def _place(context: EffectContext, target: str | None, variant: str) -> _Place:
+def _place(context: EffectContext, target: str | None, variant: str) -> _LawPlace:
     """The place of that name."""
     model = context.model
     every = {joint.name: joint for joint in joints(model)}
@@ -208,7 +208,7 @@ def _place(context: EffectContext, target: str | None, variant: str) -> _Place:
         joint = every[known("joint for law", str(target), every)]
         ids = tuple({one.id: own for one, own in motors(model)}.get(joint.id, ()))
         units = _joint_units(joint, ids, every)
-        return _Place(units, joint.force, "force", _joint_force, joint, ids, _others(every))
+        return _LawPlace(units, joint.force, "force", _joint_force, joint, ids, _others(every))
     if variant == COMMAND:
         drives = {actuator.name: actuator for actuator in actuators(model)}
         drive = drives[known("actuator for law", str(target), drives)]
@@ -218,14 +218,14 @@ def _place(context: EffectContext, target: str | None, variant: str) -> _Place:
             units |= {("q", ""): own.length, ("v", ""): f"{own.length}/s"}
         else:
             own = None
-        return _Place(units, "command", "command_feedback", _command, drive.id, own)
+        return _LawPlace(units, "command", "command_feedback", _command, drive.id, own)
     if variant in AXES:
         bodies = element_names(model, "body")
         body = bodies[known("body for law", str(target), bodies)]
         units = {("t", ""): "s"}
         units |= {(axis, ""): "m" for axis in AXES} | {(f"v{axis}", ""): "m/s" for axis in AXES}
         units["speed", ""] = "m/s"
-        return _Place(units, "N", "force", _body_force, body, AXES.index(variant))
+        return _LawPlace(units, "N", "force", _body_force, body, AXES.index(variant))
     known("variant of law", variant, (COMMAND, *AXES))
     raise AssertionError("unknown variants are refused")
 

@@ -24,10 +24,10 @@ from dropo.core.services.validation import Array, known, require
 from dropo.estimators.support.around_maximum import AroundMaximum, unit_spread
 from dropo.estimators.support.epsilon import noise_scale, noise_shape
 from dropo.estimators.support.posterior_targets import (
+    BatchedLogLikelihood,
     Local,
     OneByOne,
     PointLikelihood,
-    Target,
     log_posterior,
 )
 from dropo.estimators.support.summary import at_bounds, with_model_check
@@ -141,7 +141,7 @@ class Posterior(Estimator):
         noise = self._make_noise(problem, run, isinstance(likelihood, LocalLikelihood))
         prior = self._make_prior(problem, family, noise)
 
-        target: Target
+        target: BatchedLogLikelihood
         if isinstance(likelihood, LocalLikelihood):
             around = self._around_maximum(problem, run, likelihood, noise)
             target, draws, notes = self._sample_locally(around, run, sampler, prior)
@@ -243,7 +243,7 @@ class Posterior(Estimator):
         return target, draws, [note]
 
     def _start(
-        self, problem: Problem, run: Run, target: Target, family: Family
+        self, problem: Problem, run: Run, target: BatchedLogLikelihood, family: Family
     ) -> tuple[Array, Array]:
         """Phi (m,) to start from, and the walkers' spread (m,) in the unit box."""
         unknowns = target.unknowns
@@ -271,7 +271,7 @@ class Posterior(Estimator):
         problem: Problem,
         run: Run,
         family: Family,
-        target: Target,
+        target: BatchedLogLikelihood,
         draws: Draws,
         notes: list[str],
     ) -> Fit:
@@ -322,7 +322,7 @@ class Posterior(Estimator):
         return with_model_check(problem, run, fit)
 
     def _centre(
-        self, problem: Problem, family: Family, target: Target, draws: Draws
+        self, problem: Problem, family: Family, target: BatchedLogLikelihood, draws: Draws
     ) -> tuple[Array, Array]:
         """The unknowns (m,) in the middle of the draws, and the family's member there."""
         d = len(problem.space)
@@ -346,7 +346,9 @@ class Posterior(Estimator):
         scale_se = np.array([sd.get(f"scale.{name}", np.nan) for name in names])
         return mean_se, scale_se
 
-    def _row_log_likelihood(self, draws: Draws, target: Target, rows: int) -> Array | None:
+    def _row_log_likelihood(
+        self, draws: Draws, target: BatchedLogLikelihood, rows: int
+    ) -> Array | None:
         """(S, W, R) of a local model, if it is small enough to keep."""
         count = draws.log_density.size
         small = count <= self.settings.kept_draws and count * rows <= self.settings.kept_numbers
@@ -364,7 +366,12 @@ def _end(draws: Draws, has_notes: bool) -> tuple[Status, str]:
 
 
 def _sample(
-    run: Run, sampler: Sampler, target: Target, prior: LogPrior, start: Array, spread: Array
+    run: Run,
+    sampler: Sampler,
+    target: BatchedLogLikelihood,
+    prior: LogPrior,
+    start: Array,
+    spread: Array,
 ) -> Draws:
     """Draws from likelihood x prior, begun at phi (m,) with a spread (m,) in the unit box."""
     unit = np.clip(target.unknowns.to_unit(start), 0.0, 1.0)

@@ -82,7 +82,7 @@ SETTINGS = ModelCheckSettings()
 
 
 @dataclass(frozen=True, eq=False)
-class _Residuals:
+class _StandardizedResiduals:
     """Residuals of the n rows and p signals that are evidence, in units of their size.
 
     rest: (n, p) without what parameters of each group would explain; jacobian: (n, p, d) of the
@@ -278,7 +278,7 @@ def _follows(
     cut = _cut(rest[tested], settings.outlier)
     own = slopes.of_rows(tested)
     group = np.unique(group[tested], return_inverse=True)[1]
-    left = _Residuals(cut, own, _grams(own, group), group, units, slopes.names)
+    left = _StandardizedResiduals(cut, own, _grams(own, group), group, units, slopes.names)
     return _structure(left, features, settings)
 
 
@@ -346,7 +346,7 @@ def _cut(rest: Array, outlier: float) -> Array:
 
 
 def _structure(
-    left: _Residuals, features: Features, settings: ModelCheckSettings
+    left: _StandardizedResiduals, features: Features, settings: ModelCheckSettings
 ) -> tuple[ResidualStructure, list[str]]:
     """The strongest dependence of a signal's residuals on one feature, and on all of them in
     held-out data.
@@ -373,7 +373,7 @@ def _structure(
     return found, [f"the model is wrong: residuals of {what}"]
 
 
-def _scores(left: _Residuals, features: Features, own_share: float) -> Array:
+def _scores(left: _StandardizedResiduals, features: Features, own_share: float) -> Array:
     """(p, F) normal scores of the product of residuals and features, these too without what
     parameters explain (Frisch and Waugh 1933).
     """
@@ -415,7 +415,9 @@ def _score_of_sum(values: Array, units: Units) -> Array:
     return score_of_t(t, degrees)
 
 
-def _predictability(left: _Residuals, features: Features, settings: ModelCheckSettings) -> Array:
+def _predictability(
+    left: _StandardizedResiduals, features: Features, settings: ModelCheckSettings
+) -> Array:
     """(p,) normal scores of the regression on all features, each block of rows predicted from the
     others.
     """

@@ -56,7 +56,7 @@ SETTINGS = PredictionSettings()
 
 
 @dataclass(frozen=True, eq=False)
-class _Places:
+class _PredictedParts:
     """Which of the data are predicted: shown one after another, for the calibration, for errors by
     horizon, and for errors by signal.
     """
@@ -152,7 +152,7 @@ def _known_before(problem: Problem) -> tuple[str, Array]:
     return "the model's own numbers", np.asarray(nominal, dtype=float)
 
 
-def _places(problem: Problem, settings: PredictionSettings) -> _Places:
+def _places(problem: Problem, settings: PredictionSettings) -> _PredictedParts:
     """The data held out, or all where nothing is, as segments for each purpose."""
     data = problem.trajectories if problem.held_out is None else problem.held_out
     part = whole_part(data)
@@ -160,7 +160,7 @@ def _places(problem: Problem, settings: PredictionSettings) -> _Places:
     horizons = sorted({min(horizon, longest) for horizon in settings.horizons})
     segments = problem.cut(data)
     count = max(1, int(settings.rows / segments.lengths.mean()))
-    return _Places(
+    return _PredictedParts(
         part=part,
         shown=_shown(problem, part, horizons[-1], settings.shown),
         calibration=segments.take(segments.thin(count)),
@@ -188,7 +188,7 @@ def _side(
     problem: Problem,
     name: str,
     values: Array,
-    places: _Places,
+    places: _PredictedParts,
     sigma: Array,
     rng: np.random.Generator,
     settings: PredictionSettings,
@@ -213,7 +213,9 @@ def _side(
     )
 
 
-def _errors(problem: Problem, value: Array, segments: Segments, places: _Places) -> HorizonErrors:
+def _errors(
+    problem: Problem, value: Array, segments: Segments, places: _PredictedParts
+) -> HorizonErrors:
     """The errors of one parameter vector (d,) on some segments."""
     predictions = problem.simulator.predict(value[None], segments)
     return errors_of(problem.simulator, predictions, segments, places.spread)[0]

@@ -9,7 +9,7 @@ from dropo.core.services.files.strict_yaml import format_yaml
 from dropo.exports.support.subject import (
     NO_SPREAD,
     CannotHold,
-    Number,
+    DrawnNumber,
     Subject,
     Written,
     delays_of,
@@ -123,7 +123,7 @@ def _identifier(name: str) -> str:
     return "".join(letter if letter.isalnum() else "_" for letter in name)
 
 
-def _event(subject: Subject, drives: list[Drive], numbers: list[Number]) -> dict[str, Any]:
+def _event(subject: Subject, drives: list[Drive], numbers: list[DrawnNumber]) -> dict[str, Any]:
     """The term of a parameter; refused with a reason where there is none."""
     one = numbers[0]
     name = one.parameter
@@ -149,7 +149,7 @@ def _event(subject: Subject, drives: list[Drive], numbers: list[Number]) -> dict
 Term = tuple[str, dict[str, list[str]], dict[str, Any]]
 
 
-def _normal(subject: Subject, one: Number, key: str) -> dict[str, Any]:
+def _normal(subject: Subject, one: DrawnNumber, key: str) -> dict[str, Any]:
     """A number drawn from a normal distribution."""
     return {
         key: [one.mean, abs(one.slope) * subject.sd(one.parameter)],
@@ -158,31 +158,31 @@ def _normal(subject: Subject, one: Number, key: str) -> dict[str, Any]:
     }
 
 
-def _half_width(subject: Subject, one: Number) -> float:
+def _half_width(subject: Subject, one: DrawnNumber) -> float:
     """Half of the width of the uniform distribution with the number's standard deviation."""
     return math.sqrt(3) * abs(one.slope) * subject.sd(one.parameter)
 
 
-def _mass(subject: Subject, drives: list[Drive], one: Number) -> Term:
+def _mass(subject: Subject, drives: list[Drive], one: DrawnNumber) -> Term:
     """A mass, of which the rotational inertia stays as it is."""
     params = _normal(subject, one, "mass_distribution_params") | {"recompute_inertia": False}
     return "randomize_rigid_body_mass", {"body_names": [_name(one)]}, params
 
 
-def _centre(subject: Subject, drives: list[Drive], one: Number) -> Term:
+def _centre(subject: Subject, drives: list[Drive], one: DrawnNumber) -> Term:
     """A centre of mass along one axis, about that of the model."""
     half = _half_width(subject, one)
     ranges = {"com_range": {AXES[one.row[1]]: [-half, half]}}
     return "randomize_rigid_body_com", {"body_names": [_name(one)]}, ranges
 
 
-def _armature(subject: Subject, drives: list[Drive], one: Number) -> Term:
+def _armature(subject: Subject, drives: list[Drive], one: DrawnNumber) -> Term:
     """A joint's armature."""
     params = _normal(subject, one, "armature_distribution_params")
     return "randomize_joint_parameters", {"joint_names": [_name(one)]}, params
 
 
-def _friction(subject: Subject, drives: list[Drive], one: Number) -> Term:
+def _friction(subject: Subject, drives: list[Drive], one: DrawnNumber) -> Term:
     """A joint's dry friction, as a factor on that of its actuator settings."""
     if one.mean <= 0:
         raise CannotHold("its mean is 0, and terms of Isaac Lab scale the friction of a joint.")
@@ -195,21 +195,21 @@ def _friction(subject: Subject, drives: list[Drive], one: Number) -> Term:
     return "randomize_joint_parameters", {"joint_names": [_name(one)]}, params
 
 
-def _limit(subject: Subject, drives: list[Drive], one: Number) -> Term:
+def _limit(subject: Subject, drives: list[Drive], one: DrawnNumber) -> Term:
     """An end of a joint's range."""
     end = ("lower", "upper")[one.row[1]]
     params = _normal(subject, one, f"{end}_limit_distribution_params")
     return "randomize_joint_parameters", {"joint_names": [_name(one)]}, params
 
 
-def _damping(subject: Subject, drives: list[Drive], one: Number) -> Term:
+def _damping(subject: Subject, drives: list[Drive], one: DrawnNumber) -> Term:
     """A joint's viscous friction, which is in the damping of its drive."""
     drive = next(drive for drive in drives if drive.joint == _name(one))
     sd = abs(one.slope) * subject.sd(one.parameter)
     return _gain_term("damping", drive, drive.damping, sd)
 
 
-def _servo(subject: Subject, drives: list[Drive], one: Number) -> Term:
+def _servo(subject: Subject, drives: list[Drive], one: DrawnNumber) -> Term:
     """A gain of a position servo."""
     drive = next((drive for drive in drives if drive.actuator == one.place[0]), None)
     if drive is None or drive.stiffness == 0:
@@ -232,7 +232,7 @@ def _gain_term(kind: str, drive: Drive, mean: float, sd: float) -> Term:
     return "randomize_actuator_gains", {"joint_names": [drive.joint]}, params
 
 
-TERMS: dict[str, Callable[[Subject, list[Drive], Number], Term]] = {
+TERMS: dict[str, Callable[[Subject, list[Drive], DrawnNumber], Term]] = {
     "body_mass": _mass,
     "body_ipos": _centre,
     "dof_armature": _armature,
@@ -245,7 +245,7 @@ TERMS: dict[str, Callable[[Subject, list[Drive], Number], Term]] = {
 """What makes the term of a field, or of a servo's gain."""
 
 
-def _name(one: Number) -> str:
+def _name(one: DrawnNumber) -> str:
     """The name of a number's element."""
     assert one.owner is not None
     return one.owner[1]

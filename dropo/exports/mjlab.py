@@ -7,7 +7,7 @@ from dropo.exports.support.distribution import REDRAWS, FittedDistribution
 from dropo.exports.support.subject import (
     NO_SPREAD,
     CannotHold,
-    Number,
+    DrawnNumber,
     Subject,
     Written,
     delays_of,
@@ -98,7 +98,7 @@ EVENTS = {{
 
 
 @dataclass(frozen=True)
-class Term:
+class EventTerm:
     """An event term.
 
     Attributes
@@ -192,7 +192,7 @@ def _terms(
     return text
 
 
-def _event(distribution: FittedDistribution, i: int, term: Term) -> str:
+def _event(distribution: FittedDistribution, i: int, term: EventTerm) -> str:
     """An entry of EVENTS."""
     scale = float((distribution.factor[i] ** 2).sum() ** 0.5)
     bounds = [
@@ -212,7 +212,7 @@ def _event(distribution: FittedDistribution, i: int, term: Term) -> str:
     )
 
 
-def _term(subject: Subject, numbers: list[Number], gains: list[str]) -> Term:
+def _term(subject: Subject, numbers: list[DrawnNumber], gains: list[str]) -> EventTerm:
     """The term of a parameter; refused with a reason where there is none."""
     name = numbers[0].parameter
     binding = subject.binding(name)
@@ -240,10 +240,10 @@ def _term(subject: Subject, numbers: list[Number], gains: list[str]) -> Term:
     if one.row[1:]:
         arguments += f'            "axes": [{one.row[1]}],\n'
     assert one.owner is not None
-    return Term(FUNCTIONS[one.field], f"{one.owner[0]}_names", names, arguments)
+    return EventTerm(FUNCTIONS[one.field], f"{one.owner[0]}_names", names, arguments)
 
 
-def _ranges(subject: Subject, numbers: list[Number]) -> str:
+def _ranges(subject: Subject, numbers: list[DrawnNumber]) -> str:
     """The arguments by which one draw gives all numbers."""
     one = numbers[0]
     mean = subject.mean(one.parameter)
@@ -267,7 +267,7 @@ def _ranges(subject: Subject, numbers: list[Number]) -> str:
     )
 
 
-def _gains_term(servo: Servo, one: Number, field: str, actuator: str) -> Term:
+def _gains_term(servo: Servo, one: DrawnNumber, field: str, actuator: str) -> EventTerm:
     """The term of a servo's gain, which leaves the other gain as it is."""
     own, other = GAINS[field]
     kept = servo.kv if own == "kp_range" else servo.kp
@@ -275,4 +275,4 @@ def _gains_term(servo: Servo, one: Number, field: str, actuator: str) -> Term:
         f'            "{own}": (0.0, {abs(one.slope)!r}),\n'
         f'            "{other}": ({kept!r}, 0.0),\n            "operation": "abs",\n'
     )
-    return Term("pd_gains", "actuator_names", (actuator,), arguments)
+    return EventTerm("pd_gains", "actuator_names", (actuator,), arguments)

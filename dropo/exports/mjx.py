@@ -7,7 +7,7 @@ from dropo._version import __version__
 from dropo.exports.support.distribution import REDRAWS, FittedDistribution
 from dropo.exports.support.subject import (
     NO_SPREAD,
-    Number,
+    DrawnNumber,
     Subject,
     Written,
     effects_left_out,
@@ -155,7 +155,7 @@ def mjx(subject: Subject) -> Written:
     return Written(files, tuple(left_out), subject.approximated, subject.older_xml)
 
 
-def _code(subject: Subject, distribution: FittedDistribution, numbers: list[Number]) -> str:
+def _code(subject: Subject, distribution: FittedDistribution, numbers: list[DrawnNumber]) -> str:
     """The functions, with the numbers of the distribution."""
     return CODE.format(
         names=distribution.names,
@@ -178,7 +178,7 @@ def _list(array: Any) -> str:
     return repr(array.tolist()).replace("inf", "np.inf")
 
 
-def _table(subject: Subject, distribution: FittedDistribution, numbers: list[Number]) -> str:
+def _table(subject: Subject, distribution: FittedDistribution, numbers: list[DrawnNumber]) -> str:
     """The entries of NUMBERS: all parameters of a number together."""
     slopes: dict[tuple[str, tuple[int, ...]], list[float]] = defaultdict(
         lambda: [0.0] * len(distribution.names)

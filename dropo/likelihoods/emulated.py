@@ -16,7 +16,12 @@ from dropo.core.numerics.sobol import sobol_points
 from dropo.core.records.trajectories import Ints, Segments
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.validation import Array
-from dropo.likelihoods.support.gaussian_rows import Columns, GaussianRows, Parts, parts_of_matrices
+from dropo.likelihoods.support.gaussian_rows import (
+    GaussianRows,
+    MomentJacobian,
+    Parts,
+    parts_of_matrices,
+)
 from dropo.likelihoods.support.polynomials import Emulator, build, orders_for, products
 
 
@@ -169,7 +174,7 @@ class EmulatedRows(GaussianRows):
         return mean, factor @ namespace(factor).matrix_transpose(factor) + residual
 
     def _parts(
-        self, member: Any, slopes: Any, rows: slice, whiten: Array, z: Array, noise: Columns
+        self, member: Any, slopes: Any, rows: slice, whiten: Array, z: Array, noise: MomentJacobian
     ) -> Parts:
         white_factor = (whiten @ self._expanded(member, rows)[1]).swapaxes(1, 2)
         by_mean = []

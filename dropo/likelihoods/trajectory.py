@@ -14,7 +14,7 @@ from scipy.optimize import lsq_linear
 
 from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.family import Family
-from dropo.core.contracts.likelihood import LogLikelihood, RunFit, RunLikelihood
+from dropo.core.contracts.likelihood import LogLikelihood, RunLikelihood, WholeRunsFit
 from dropo.core.contracts.noise import Epsilon, NoiseModel
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import Simulator
@@ -31,20 +31,20 @@ from dropo.core.services.validation import Array, known, require
 from dropo.likelihoods.support.runs.condensed import Condensed, condense, log_densities
 from dropo.likelihoods.support.runs.found_starts import FoundStarts
 from dropo.likelihoods.support.runs.linearization import (
-    Columns,
+    LinearizedInstants,
     Observed,
     Steps,
     linearize_windows,
 )
 from dropo.likelihoods.support.runs.noise_levels import (
     NoiseDistribution,
-    NoiseSettings,
+    NoiseLevelSettings,
     RestrictedEstimates,
     white,
     whiten,
 )
 from dropo.likelihoods.support.runs.rows import RunRows, profiled
-from dropo.likelihoods.support.runs.windows import Windows, following_rows, windows_of
+from dropo.likelihoods.support.runs.windows import RunWindows, following_rows, windows_of
 
 SETTLED = "Parameters and start states stopped moving after {} rounds."
 SETTLED_APART = "Parameters that differ from group to group stopped moving after {} rounds."
@@ -145,7 +145,7 @@ class Trajectory(RunLikelihood):
     unmeasured : tuple of str
         Signals of which the data hold a guess, beside those that the problem calls estimated.
     settings : TrajectorySettings
-    noise : NoiseSettings
+    noise : NoiseLevelSettings
 
     Notes
     -----
@@ -164,11 +164,11 @@ class Trajectory(RunLikelihood):
 
     unmeasured: tuple[str, ...] = ()
     settings: TrajectorySettings = field(default_factory=TrajectorySettings)
-    noise: NoiseSettings = field(default_factory=NoiseSettings)
+    noise: NoiseLevelSettings = field(default_factory=NoiseLevelSettings)
 
     def fit_runs(
         self, problem: Problem, run: Run, family: Family, noise: Epsilon, mean: Array
-    ) -> RunFit:
+    ) -> WholeRunsFit:
         """Find parameters, starts and noise levels together.
 
         Raises
@@ -181,7 +181,7 @@ class Trajectory(RunLikelihood):
         _require_runs(problem)
         length = problem.horizon if problem.horizon > 1 else self.settings.window
         unmeasured = (*problem.estimated, *self.unmeasured)
-        search = _Search(self, problem.simulator, problem.trajectories, length, unmeasured)
+        search = _JointSearch(self, problem.simulator, problem.trajectories, length, unmeasured)
         search.take_noise(noise)
         search.prior = MeanPrior(problem.priors, problem.space)
         place, found = search.run(run, mean)
@@ -216,7 +216,7 @@ class Trajectory(RunLikelihood):
                 "The likelihood 'trajectory' learns noise with the start states, in a search of its"
                 " own (method 'dropo'). Give epsilon."
             )
-        search = _Search(self, simulator, segments.trajectories, self.settings.window, ())
+        search = _JointSearch(self, simulator, segments.trajectories, self.settings.window, ())
         search.take_noise(epsilon)
         space = simulator.space
         state = search.first((space.low + space.high) / 2)
@@ -234,7 +234,7 @@ class _State:
 
     value: Array
     starts: Array
-    windows: Windows
+    windows: RunWindows
     noise: NoiseDistribution
     own: Array | None = None
 
@@ -244,7 +244,7 @@ class _Linearized:
     """A state linearized: its columns, and its pieces without their starts."""
 
     state: _State
-    columns: Columns
+    columns: LinearizedInstants
     condensed: Condensed
 
     @property
@@ -254,7 +254,7 @@ class _Linearized:
 
 
 @dataclass(frozen=True, eq=False)
-class _Place:
+class _LinearizedState:
     """How a state was linearized, so that it can be done again: the state before, the half
     widths of the differences in parameters (d,), and the noise that was found there.
     """
@@ -276,7 +276,7 @@ class _Position:
     fraction: float
     chosen: int
     value_step: Array
-    best: _Place | None
+    best: _LinearizedState | None
     ended: str = ""
 
 
@@ -286,7 +286,7 @@ GOES_ON, IS_SETTLED, IS_DONE = range(3)
 """The numbers of a turn's record: groups move still, they do not, or their simulations diverge."""
 
 
-class _Search:
+class _JointSearch:
     """The joint search of one problem's parameters, starts and noise."""
 
     def __init__(
@@ -319,7 +319,7 @@ class _Search:
         self.noise: NoiseDistribution | None = None
         self.given = False
         self.degrees: float | None = None
-        self._last: tuple[_Place, _Linearized] | None = None
+        self._last: tuple[_LinearizedState, _Linearized] | None = None
         self._told = False
 
     # --- what is given
@@ -372,7 +372,7 @@ class _Search:
         state = replace(state, windows=windows)
         return _Linearized(state, columns, self._condense(columns, state))
 
-    def _condense(self, columns: Columns, state: _State) -> Condensed:
+    def _condense(self, columns: LinearizedInstants, state: _State) -> Condensed:
         """The pieces without their starts."""
         opening = np.flatnonzero(state.windows.depth == 0)
         return condense(columns, state.noise, self.start_prior, state.starts[opening])
@@ -441,7 +441,7 @@ class _Search:
 
     # --- the search
 
-    def run(self, run: Run, mean: Array) -> tuple[_Place, SearchResult]:
+    def run(self, run: Run, mean: Array) -> tuple[_LinearizedState, SearchResult]:
         """Outer iterations until nothing moves, each of them recorded."""
         self._position = _Position(
             self.first(mean), np.zeros(len(mean)), 1.0, 0, self.value_step, None
@@ -458,7 +458,7 @@ class _Search:
         count = 0 if status is Status.INTERRUPTED else self._count
         return best, self._result(self.linearized_at(best), status, reason, count)
 
-    def linearized_at(self, place: _Place) -> _Linearized:
+    def linearized_at(self, place: _LinearizedState) -> _Linearized:
         """The linearized state of a place, made again, not counted, where it was recorded."""
         if self._last is None or self._last[0] is not place:
             simulator = self.simulator
@@ -472,9 +472,11 @@ class _Search:
             self._last = (place, linearized)
         return self._last[1]
 
-    def _placed(self, state: _State, value_step: Array, linearized: _Linearized) -> _Place:
+    def _placed(
+        self, state: _State, value_step: Array, linearized: _Linearized
+    ) -> _LinearizedState:
         """The place of a linearized state, which is remembered."""
-        place = _Place(state, value_step, linearized.state.noise)
+        place = _LinearizedState(state, value_step, linearized.state.noise)
         self._last = (place, linearized)
         return place
 
@@ -536,7 +538,7 @@ class _Search:
         step, value_step, sd, memory, degrees, state = np.split(rest, places)
         noise = NoiseDistribution(sd, memory, degrees)
         if is_best:
-            best = _Place(position.state, position.value_step, noise)
+            best = _LinearizedState(position.state, position.value_step, noise)
         else:
             assert position.best is not None
             best = replace(position.best, noise=noise)
@@ -671,8 +673,8 @@ class _Search:
         return own
 
     def with_spread(
-        self, run: Run, place: _Place, found: SearchResult, family: Family
-    ) -> tuple[_Place, SearchResult]:
+        self, run: Run, place: _LinearizedState, found: SearchResult, family: Family
+    ) -> tuple[_LinearizedState, SearchResult]:
         """The same, with every group linearized at its own parameters, where groups differ."""
         for turn in range(self.settings.spread_iterations):
             if turn == 0 and not self._varies(self.linearized_at(place), family):
@@ -692,14 +694,14 @@ class _Search:
         return bool((family.sd(phi[: len(family.unknowns)]) > self.errors(linearized)).any())
 
     def _recorded_turn(
-        self, run: Run, place: _Place, family: Family, *, is_first: bool
-    ) -> tuple[_Place, int]:
+        self, run: Run, place: _LinearizedState, family: Family, *, is_first: bool
+    ) -> tuple[_LinearizedState, int]:
         """A turn of the groups, or its record in the evaluation log.
 
         A record holds the log-likelihood, the outcome, the noise (3 m,), and the state before it
         was linearized; where simulations diverge, the first two alone.
         """
-        reached: tuple[_Place, int] | None = None
+        reached: tuple[_LinearizedState, int] | None = None
 
         def evaluate(_: Array) -> Array:
             nonlocal reached
@@ -721,9 +723,13 @@ class _Search:
         sd, memory, degrees, state = np.split(record[2:], np.cumsum([m, m, m]))
         noise = NoiseDistribution(sd, memory, degrees)
         # What was linearized still had the noise before, which decides nothing of it.
-        return _Place(self._unpacked(state, noise), self._position.value_step, noise), outcome
+        return _LinearizedState(
+            self._unpacked(state, noise), self._position.value_step, noise
+        ), outcome
 
-    def _turn(self, place: _Place, family: Family, *, is_first: bool) -> tuple[_Place, int]:
+    def _turn(
+        self, place: _LinearizedState, family: Family, *, is_first: bool
+    ) -> tuple[_LinearizedState, int]:
         """Every group linearized at its own parameters, and whether they have settled."""
         linearized = self.linearized_at(place)
         objective = self.objective(linearized.state, family, linearized)
@@ -751,7 +757,7 @@ class _Search:
 
     def fit(
         self, problem: Problem, family: Family, linearized: _Linearized, found: SearchResult
-    ) -> RunFit:
+    ) -> WholeRunsFit:
         """The maximum in the family, and the problem as it was compared."""
         objective = self.objective(linearized.state, family, linearized)
         phi = self._member(objective, family, linearized)
@@ -798,7 +804,7 @@ class _Search:
         reached = stuck <= self.settings.largest_stuck
         if not reached:
             warnings = (*warnings, NOT_REACHED.format(stuck))
-        return RunFit(compared, objective, found, epsilon, details, warnings, reached)
+        return WholeRunsFit(compared, objective, found, epsilon, details, warnings, reached)
 
     def _member(self, objective: RunRows, family: Family, linearized: _Linearized) -> Array:
         """Phi of the maximum: without spreads, but for those that gain enough."""
@@ -945,14 +951,14 @@ def _held(objective: RunRows, places: list[int]) -> RunRows:
     return held
 
 
-def _groups(windows: Windows) -> Ints:
+def _groups(windows: RunWindows) -> Ints:
     """(P,) the group of each piece, numbered as they come."""
     first = np.array([start for start, _ in windows.pieces.spans])
     assert windows.pieces.group is not None
     return np.unique(windows.pieces.group[first], return_inverse=True)[1]
 
 
-def _mean_squares(columns: Columns) -> Array:
+def _mean_squares(columns: LinearizedInstants) -> Array:
     """(m,) mean squared residuals."""
     found = np.sum(columns.residuals**2, axis=0) / np.maximum(columns.valid.sum(axis=0), 1)
     return np.maximum(found, 1e-300)

@@ -15,7 +15,7 @@ from dropo.core.records.trajectories import Ints, Segments
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.validation import Array
 from dropo.likelihoods.support.axial import Axial
-from dropo.likelihoods.support.gaussian_rows import Columns, Parts, parts_of_columns
+from dropo.likelihoods.support.gaussian_rows import MomentJacobian, Parts, parts_of_columns
 from dropo.likelihoods.support.linear_rows import LinearRows, along
 from dropo.likelihoods.support.member_moments import coordinates
 
@@ -131,7 +131,7 @@ class UnscentedRows(LinearRows):
         return mean, by_slope + by_curvature
 
     def _parts(
-        self, member: Any, slopes: Any, rows: slice, whiten: Array, z: Array, noise: Columns
+        self, member: Any, slopes: Any, rows: slice, whiten: Array, z: Array, noise: MomentJacobian
     ) -> Parts:
         away, covariance = member
         by_mean, entries = slopes
@@ -149,7 +149,7 @@ class UnscentedRows(LinearRows):
         c, e = entries.pairs(curvature)
         fourth = (self.fourth * covariance)[entries.first, entries.second]
         by_squares = 0.5 * entries.weights * fourth
-        own = Columns(
+        own = MomentJacobian(
             np.concatenate([at_mean, 0.5 * curvature], axis=2),
             np.concatenate([by_mean, by_variance], axis=1),
             np.concatenate([a, c, curvature], axis=2),

@@ -33,7 +33,7 @@ DEFAULTS = GridSettings()
 
 
 @dataclass(frozen=True)
-class ExcludedSpan:
+class UnusedSpan:
     """A span of a run that is in no trajectory.
 
     Attributes
@@ -109,7 +109,7 @@ def _first_position(series: Sequence[TimeSeries]) -> TimeSeries:
 
 def whole_spans(
     run: LogRun, series: Sequence[TimeSeries], step: float, settings: GridSettings = DEFAULTS
-) -> tuple[list[GridSpan], list[ExcludedSpan]]:
+) -> tuple[list[GridSpan], list[UnusedSpan]]:
     """Find the pieces of a run in which every series has rows.
 
     Parameters
@@ -127,7 +127,7 @@ def whole_spans(
     -------
     spans : list of GridSpan
         The pieces, on a grid of control steps.
-    excluded : list of ExcludedSpan
+    excluded : list of UnusedSpan
         The spans between them.
     """
     begin = max(float(one.time[0]) for one in series)
@@ -137,8 +137,8 @@ def whole_spans(
     excluded = []
     for start, stop in ((first, begin), (end, last)):
         if stop - start > step:
-            excluded.append(ExcludedSpan(run.name, start, stop, "not every signal is there"))
-    holes: list[ExcludedSpan] = []
+            excluded.append(UnusedSpan(run.name, start, stop, "not every signal is there"))
+    holes: list[UnusedSpan] = []
     for one in series:
         holes += _find_holes(run.name, one)
     spans = []
@@ -158,9 +158,9 @@ def _end(series: TimeSeries) -> float:
     return float(series.time[-1]) + held
 
 
-def _merge(holes: Iterable[ExcludedSpan]) -> list[ExcludedSpan]:
+def _merge(holes: Iterable[UnusedSpan]) -> list[UnusedSpan]:
     """Spans in order, those that overlap as one, whose reason is the first one's."""
-    out: list[ExcludedSpan] = []
+    out: list[UnusedSpan] = []
     for hole in sorted(holes, key=lambda hole: hole.start):
         if out and hole.start < out[-1].stop:
             out[-1] = replace(out[-1], stop=max(out[-1].stop, hole.stop))
@@ -169,7 +169,7 @@ def _merge(holes: Iterable[ExcludedSpan]) -> list[ExcludedSpan]:
     return out
 
 
-def _find_holes(run: str, series: TimeSeries) -> list[ExcludedSpan]:
+def _find_holes(run: str, series: TimeSeries) -> list[UnusedSpan]:
     """Where there are no numbers for too long: nothing was logged, or nothing that can be used."""
     out = []
     for i in find_gaps(series.time):
@@ -177,7 +177,7 @@ def _find_holes(run: str, series: TimeSeries) -> list[ExcludedSpan]:
         why = f"a gap in the stamps of {series.label}"
         if lost:
             why = f"{lost} rows of {series.label} hang, or have no value"
-        out.append(ExcludedSpan(run, float(series.time[i - 1]), float(series.time[i]), why))
+        out.append(UnusedSpan(run, float(series.time[i - 1]), float(series.time[i]), why))
     return out
 
 
@@ -186,7 +186,7 @@ def _make_span(
     series: Sequence[TimeSeries],
     within: tuple[float, float],
     step: float,
-    excluded: list[ExcludedSpan],
+    excluded: list[UnusedSpan],
     settings: GridSettings,
 ) -> list[GridSpan]:
     """The piece within two instants, or none, noted in `excluded`, where it is too short.
@@ -204,7 +204,7 @@ def _make_span(
     at: Array = begin + step * np.arange(count, dtype=np.float64)
     if count < settings.shortest:
         why = f"shorter than {settings.shortest} control steps"
-        excluded.append(ExcludedSpan(run, begin, end, why))
+        excluded.append(UnusedSpan(run, begin, end, why))
         return []
     resampled = [
         one.label for one in series if not _is_on_grid(one.time, at, settings.on_grid * step)

@@ -22,9 +22,9 @@ from dropo.core.services.validation import Array
 from dropo.data.checks.findings import Finding, errors_first
 from dropo.data.reading import RUN_NAMES
 from dropo.logs.grids import (
-    ExcludedSpan,
     GridSettings,
     GridSpan,
+    UnusedSpan,
     join_observations,
     observation_items,
     sample_command,
@@ -37,7 +37,7 @@ from dropo.logs.import_files import RECORD, check_place, write_import
 from dropo.logs.log_checks import LogCheckSettings
 from dropo.logs.mapping import Mapping as LogMapping
 from dropo.logs.mapping import read_mapping
-from dropo.logs.preparing import NoiseSettings, SignalNoise, add_velocities, clean_run
+from dropo.logs.preparing import LoggedNoiseSettings, SignalNoise, add_velocities, clean_run
 from dropo.logs.readers.reader import Progress
 from dropo.logs.recordings import LogReadingSettings, LogRun, read_runs
 from dropo.logs.signals.clocks import AlignmentSettings, SignalDelay, align_runs
@@ -63,7 +63,7 @@ class ImportSettings:
         What makes a raw log look odd.
     alignment : AlignmentSettings
         How delays are estimated and removed.
-    noise : NoiseSettings
+    noise : LoggedNoiseSettings
         From how much of a log noise levels are estimated.
     recordings : LogReadingSettings
         How stamps of logs are read.
@@ -76,7 +76,7 @@ class ImportSettings:
     noisier: float = 2.0
     checks: LogCheckSettings = field(default_factory=LogCheckSettings)
     alignment: AlignmentSettings = field(default_factory=AlignmentSettings)
-    noise: NoiseSettings = field(default_factory=NoiseSettings)
+    noise: LoggedNoiseSettings = field(default_factory=LoggedNoiseSettings)
     recordings: LogReadingSettings = field(default_factory=LogReadingSettings)
     grid: GridSettings = field(default_factory=GridSettings)
 
@@ -107,7 +107,7 @@ class Import(Report):
         All that were found, removed or not.
     noise : dict
         `SignalNoise` by signal.
-    left_out : list of ExcludedSpan
+    left_out : list of UnusedSpan
         What is in no trajectory, and why.
     findings : list of Finding
         What looked odd in the raw logs.
@@ -126,7 +126,7 @@ class Import(Report):
     trajectories: list[int]
     delays: list[SignalDelay]
     noise: dict[str, SignalNoise]
-    left_out: list[ExcludedSpan]
+    left_out: list[UnusedSpan]
     findings: list[Finding]
     inputs: tuple[str, ...]
     notes: tuple[str, ...] = ()
@@ -419,7 +419,7 @@ class _Gathered:
 
     pieces: list[_Piece]
     rows: dict[str, dict[str, Any]]
-    excluded: list[ExcludedSpan]
+    excluded: list[UnusedSpan]
 
 
 def _gather(

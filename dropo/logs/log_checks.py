@@ -23,7 +23,7 @@ from dropo.data.checks.columns import (
 from dropo.data.checks.findings import Finding, errors_first
 from dropo.data.checks.kinematics import (
     Displacements,
-    MotionSettings,
+    KinematicsSettings,
     check_fall,
     check_motions,
     displacement_noise,
@@ -62,7 +62,7 @@ class LogCheckSettings:
         What makes time stamps look odd.
     columns : ColumnSettings
         What makes single columns look odd.
-    motion : MotionSettings
+    motion : KinematicsSettings
         What makes velocities and free fall look odd.
     """
 
@@ -72,7 +72,7 @@ class LogCheckSettings:
     carries_on: float = 0.5
     stamps: StampSettings = field(default_factory=StampSettings)
     columns: ColumnSettings = field(default_factory=ColumnSettings)
-    motion: MotionSettings = field(default_factory=MotionSettings)
+    motion: KinematicsSettings = field(default_factory=KinematicsSettings)
 
 
 DEFAULTS = LogCheckSettings()

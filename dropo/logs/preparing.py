@@ -21,7 +21,7 @@ ZIGZAG = 0.6745 * np.sqrt(6)
 
 
 @dataclass(frozen=True)
-class NoiseSettings:
+class LoggedNoiseSettings:
     """From how much of a log noise levels and velocities are estimated.
 
     Attributes
@@ -39,7 +39,7 @@ class NoiseSettings:
     minimum_rows: int = 20
 
 
-DEFAULTS = NoiseSettings()
+DEFAULTS = LoggedNoiseSettings()
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ def _clean(series: TimeSeries, robot: ModelJoints) -> TimeSeries:
 
 
 def add_velocities(
-    runs: Sequence[LogRun], robot: ModelJoints, settings: NoiseSettings = DEFAULTS
+    runs: Sequence[LogRun], robot: ModelJoints, settings: LoggedNoiseSettings = DEFAULTS
 ) -> tuple[list[LogRun], dict[str, SignalNoise]]:
     """Estimate the velocities that were not logged, and the noise level of every signal.
 
@@ -153,7 +153,9 @@ def add_velocities(
     return out, levels.pool()
 
 
-def compare_velocities(run: LogRun, settings: NoiseSettings = DEFAULTS) -> dict[str, SignalNoise]:
+def compare_velocities(
+    run: LogRun, settings: LoggedNoiseSettings = DEFAULTS
+) -> dict[str, SignalNoise]:
     """Compare the noise of logged velocities with that of smoothed ones.
 
     Parameters
@@ -218,7 +220,7 @@ def _pool(levels: Sequence[tuple[float, int]]) -> float | None:
     return float(np.sqrt(np.sum(rows * sds**2) / np.sum(rows)))
 
 
-def _measurement_noise(series: TimeSeries, settings: NoiseSettings) -> tuple[Array, Array]:
+def _measurement_noise(series: TimeSeries, settings: LoggedNoiseSettings) -> tuple[Array, Array]:
     """(k,) of the logged numbers, and (k,) of the slope of a smoother, from the longest stretch.
 
     NaN for commands and short ones.
@@ -239,14 +241,14 @@ def _measurement_noise(series: TimeSeries, settings: NoiseSettings) -> tuple[Arr
     return noise, found.velocity_noise
 
 
-def _pieces(series: TimeSeries, settings: NoiseSettings) -> list[Ints]:
+def _pieces(series: TimeSeries, settings: LoggedNoiseSettings) -> list[Ints]:
     """The rows of the stretches between gaps that are long enough."""
     pieces = np.split(np.arange(len(series.time)), find_gaps(series.time))
     return [piece for piece in pieces if len(piece) >= settings.minimum_rows]
 
 
 def _estimate_velocity(
-    position: TimeSeries, joint: Joint, settings: NoiseSettings
+    position: TimeSeries, joint: Joint, settings: LoggedNoiseSettings
 ) -> tuple[TimeSeries, Array]:
     """The velocity of a position in stretches that are long enough, and its noise (k,)."""
     units = joint.units("qvel")

@@ -46,7 +46,7 @@ from dropo.logs.sensor_pairs import sensor_pairs
 from dropo.mjmodel.files.loading import load_model
 from dropo.mjmodel.files.robots import (
     DriveGuess,
-    Robot,
+    RobotFile,
     add_drives,
     find_robot,
     fit_step,
@@ -67,7 +67,7 @@ MAP_HEAD = """\
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Start(Report):
+class InitResult(Report):
     """What `init` wrote.
 
     Attributes
@@ -118,7 +118,7 @@ def init(
     ask: Ask | None = None,
     progress: Progress = ignore_progress,
     settings: ImportSettings = DEFAULTS,
-) -> Start:
+) -> InitResult:
     """Make a folder that can be diagnosed, of a robot and its logs.
 
     Parameters
@@ -140,7 +140,7 @@ def init(
 
     Returns
     -------
-    Start
+    InitResult
         What was written: map.yaml, data.npz, problem.yaml, import.json, and model.xml where the
         model had no actuators.
 
@@ -188,7 +188,7 @@ def init(
     facts = {"robot": found.name, "model": str(found.path), "guesses": lines, **sums}
     write_import(imported, folder / DATA, model, joints, "init", facts, files)
     command = f"dropo diagnose {folder / PROBLEM}"
-    return Start(folder, found.name, tuple(lines), content, imported, command)
+    return InitResult(folder, found.name, tuple(lines), content, imported, command)
 
 
 def _check_folder(folder: Path, mapping: Path | None) -> None:
@@ -221,7 +221,7 @@ def _describe_undecided(guess: Guess) -> str:
     )
 
 
-def _say_robot(found: Robot, joints: ModelJoints, lost: Sequence[str]) -> str:
+def _say_robot(found: RobotFile, joints: ModelJoints, lost: Sequence[str]) -> str:
     """The line about the robot."""
     form = "URDF" if found.is_urdf else "MJCF"
     without = ""
@@ -297,7 +297,7 @@ def _choose_sensor_units(
 
 
 def _make_model(
-    found: Robot,
+    found: RobotFile,
     spec: mujoco.MjSpec,
     guess: Guess,
     content: dict[str, Any],

@@ -32,7 +32,7 @@ FIRST = {
 
 
 @dataclass(frozen=True, eq=False)
-class Shape:
+class GeomOutline:
     """A geom in the world.
 
     Attributes
@@ -157,7 +157,7 @@ def part_sizes(model: mujoco.MjModel) -> Array:
     return np.full(2 * (model.nbody - 1), THICK * _reach(model))
 
 
-def skeleton(model: mujoco.MjModel, data: mujoco.MjData) -> list[Shape]:
+def skeleton(model: mujoco.MjModel, data: mujoco.MjData) -> list[GeomOutline]:
     """Return lines between the joints of a model whose bodies have no geoms to be seen.
 
     Parameters
@@ -169,7 +169,7 @@ def skeleton(model: mujoco.MjModel, data: mujoco.MjData) -> list[Shape]:
 
     Returns
     -------
-    list of Shape
+    list of GeomOutline
         From every body to its parent, and to its centre of mass at the end of a chain; none where
         there are geoms.
     """
@@ -182,10 +182,10 @@ def skeleton(model: mujoco.MjModel, data: mujoco.MjData) -> list[Shape]:
         still = bool(model.body_weldid[body] == 0)
         if parent:
             ends = np.stack([data.xpos[parent], data.xpos[body]])
-            out.append(Shape(ends, radius, still))
+            out.append(GeomOutline(ends, radius, still))
         if body not in model.body_parentid:
             ends = np.stack([data.xpos[body], data.xipos[body]])
-            out.append(Shape(ends, 0.7 * radius, still))
+            out.append(GeomOutline(ends, 0.7 * radius, still))
     return out
 
 
@@ -195,7 +195,7 @@ def _reach(model: mujoco.MjModel) -> float:
     return max(float(lengths), float(np.linalg.norm(model.body_ipos[1:], axis=1).max()), 0.05)
 
 
-def shapes(model: mujoco.MjModel, data: mujoco.MjData) -> list[Shape]:
+def shapes(model: mujoco.MjModel, data: mujoco.MjData) -> list[GeomOutline]:
     """Return the geoms that a viewer shows, but for planes and height fields; else the skeleton.
 
     Parameters
@@ -207,7 +207,7 @@ def shapes(model: mujoco.MjModel, data: mujoco.MjData) -> list[Shape]:
 
     Returns
     -------
-    list of Shape
+    list of GeomOutline
     """
     out = skeleton(model, data)
     for i in _shown(model):
@@ -215,7 +215,7 @@ def shapes(model: mujoco.MjModel, data: mujoco.MjData) -> list[Shape]:
         if local is None:
             continue
         points = data.geom_xpos[i] + local @ data.geom_xmat[i].reshape(3, 3).T
-        out.append(Shape(points, radius, model.body_weldid[model.geom_bodyid[i]] == 0))
+        out.append(GeomOutline(points, radius, model.body_weldid[model.geom_bodyid[i]] == 0))
     return out
 
 

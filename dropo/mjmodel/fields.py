@@ -114,7 +114,7 @@ class Binding:
         self.parameter = parameter
         named = parameter.element
         elements = named if isinstance(named, tuple) else (named,)
-        self._places = [_Place(replace(parameter, element=one), model) for one in elements]
+        self._places = [_BoundParameter(replace(parameter, element=one), model) for one in elements]
 
     def nominal(self) -> float:
         """The parameter's value in the model that it was bound to; of several places the mean."""
@@ -164,7 +164,7 @@ class Binding:
         return self._places[0].read(model)
 
 
-class _Place:
+class _BoundParameter:
     """A parameter of one element, or of a field without elements, bound to a model."""
 
     def __init__(self, parameter: FieldParameter, model: mujoco.MjModel):

@@ -23,7 +23,7 @@ METHODS = {"modelled": by_inverse_dynamics, "ideal": by_ideal_controllers}
 
 
 @dataclass(frozen=True, eq=False)
-class Replay:
+class ActionReplay:
     """Errors of the motion when the actions are replayed from measured states.
 
     Attributes
@@ -58,7 +58,7 @@ class ActionEstimate(Report):
     unexplained : dict of str to tuple
         For each degree of freedom the unit, and the root mean square and the largest size of the
         force that the motion needs and no action gives; empty for ideal controllers.
-    replays : tuple of Replay
+    replays : tuple of ActionReplay
         The errors of a replay, by horizon.
     """
 
@@ -67,7 +67,7 @@ class ActionEstimate(Report):
     actions: tuple[Signal, ...]
     signals: tuple[Signal, ...]
     unexplained: dict[str, tuple[str, float, float]]
-    replays: tuple[Replay, ...]
+    replays: tuple[ActionReplay, ...]
 
     def to_json(self) -> dict[str, Any]:
         """Give the numbers of the tables for JSON."""
@@ -239,14 +239,14 @@ def check_place(out: Path, problem: str | Path) -> None:
         raise BadFile(out, "--out", expected, "one that is there")
 
 
-def _replay(simulator: MujocoSimulator, trajectories: Trajectories, horizon: int) -> Replay:
+def _replay(simulator: MujocoSimulator, trajectories: Trajectories, horizon: int) -> ActionReplay:
     """The errors after so many control steps."""
     segments = trajectories.segments(horizon)
     nominal = np.zeros(0) if simulator.nominal is None else np.asarray(simulator.nominal)
     targets = simulator.targets(segments)
     error = simulator.predict(nominal[None], segments)[0] - targets
     change = simulator.layout.coordinates(segments.starts, segments.targets) - targets
-    return Replay(horizon, _rms(error), _rms(change))
+    return ActionReplay(horizon, _rms(error), _rms(change))
 
 
 def _unexplained(simulator: MujocoSimulator, forces: Array) -> dict[str, tuple[str, float, float]]:

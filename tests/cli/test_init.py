@@ -7,13 +7,13 @@ import pytest
 
 from dropo.cli import init
 from dropo.cli.main import main
-from dropo.problems.simulated.example_log import Machine, write_example
+from dropo.problems.simulated.example_log import ExampleMachine, write_example
 
 
 @pytest.fixture
 def example(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The example's files in the present folder."""
-    write_example(tmp_path, runs=1, machine=Machine(rows=240))
+    write_example(tmp_path, runs=1, machine=ExampleMachine(rows=240))
     monkeypatch.chdir(tmp_path)
     return tmp_path
 

@@ -11,12 +11,12 @@ from dropo.diagnosis import diagnose
 from dropo.diagnosis.diagnose import Diagnose, DiagnosisSettings
 from dropo.diagnosis.findings.accuracy.every_horizon import EveryHorizonSettings
 from dropo.diagnosis.search.arithmetic import Rivals
-from dropo.diagnosis.search.whitening import NoiseSettings
+from dropo.diagnosis.search.whitening import WhitenessSettings
 from dropo.problems.file.estimated_velocities import with_velocities
 from dropo.studies.first_models.machines import (
     STEP,
     Design,
-    Machine,
+    MissingNumbers,
     built,
     first_model,
     measured,
@@ -44,7 +44,7 @@ def test_half_a_search_under_other_noise_does_not_count(monkeypatch):
     monkeypatch.setattr(diagnose, "other_noise", lambda *given: "coloured")
     monkeypatch.setattr(diagnose, "_anew", lambda setup, under: setup.selection)
     setup = setup_of_nothing()
-    found = diagnose._solved(setup, NoiseSettings(), lambda *_: None)
+    found = diagnose._solved(setup, WhitenessSettings(), lambda *_: None)
     assert found[0] is setup
     assert found[1].last is last
     assert found[1].interrupted
@@ -58,7 +58,7 @@ def test_disturbances_come_first(monkeypatch, left):
     found = diagnose._Searched(None, SimpleNamespace(train=None), {})
     monkeypatch.setattr(diagnose, "_search", lambda setup: (setup, found))
     monkeypatch.setattr(diagnose, "other_noise", lambda *given: asked.append(given))
-    solved = diagnose._solved(setup_of_nothing(), NoiseSettings(), lambda *given: left)
+    solved = diagnose._solved(setup_of_nothing(), WhitenessSettings(), lambda *given: left)
     assert solved[1:] == (found, left)
     assert bool(asked) == (left is None)
 
@@ -67,7 +67,7 @@ def test_disturbances_come_first(monkeypatch, left):
 def servo():
     """A pendulum on a servo, simulated ten times finer than a model that has all its numbers."""
     rng = np.random.default_rng(3)
-    machine = Machine(*NUMBERS, 0.0, np.zeros(3), 0.0, delay=0.0)
+    machine = MissingNumbers(*NUMBERS, 0.0, np.zeros(3), 0.0, delay=0.0)
     spec = built(first_model(DESIGN), machine)
     made = spec.copy()
     made.option.timestep = STEP / 4

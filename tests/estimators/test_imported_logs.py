@@ -10,7 +10,7 @@ from dropo import init, load
 from dropo.core.contracts.problem import Problem
 from dropo.estimators.dropo import DROPO
 from dropo.estimators.support.whole_runs import ASKED_FOR, NOT_MEASURED, may_follow_runs
-from dropo.problems.simulated.example_log import MACHINE, Machine, write_example
+from dropo.problems.simulated.example_log import MACHINE, ExampleMachine, write_example
 
 PARAMETERS = """
 parameters:
@@ -20,7 +20,7 @@ parameters:
 TRUTH = np.array([*MACHINE.armature, *MACHINE.friction])
 
 
-def imported(folder: Path, machine: Machine, change: tuple[str, str] = ("", "")) -> Problem:
+def imported(folder: Path, machine: ExampleMachine, change: tuple[str, str] = ("", "")) -> Problem:
     """The example's logs of a machine, imported as they come, with what may be fitted.
 
     change: a text of the problem file, and what stands in its place.

@@ -16,7 +16,7 @@ from dropo.data.checks.check import check
 from dropo.logs.starting import init
 from dropo.mjmodel.files.robots import find_robot
 from dropo.problems.loading import load
-from dropo.problems.simulated.example_log import Machine, write_example
+from dropo.problems.simulated.example_log import ExampleMachine, write_example
 
 URDF = """<?xml version="1.0"?>
 <robot name="lab_arm">
@@ -37,7 +37,7 @@ URDF = """<?xml version="1.0"?>
     <limit lower="-2.4" upper="2.4" effort="6" velocity="8"/></joint>
 </robot>
 """
-SHORT = Machine(rows=240)
+SHORT = ExampleMachine(rows=240)
 
 
 @pytest.fixture

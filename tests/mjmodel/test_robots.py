@@ -11,7 +11,7 @@ import pytest
 from dropo.core.services.errors import BadFile
 from dropo.mjmodel.files.robots import (
     DriveGuess,
-    Robot,
+    RobotFile,
     add_drives,
     find_robot,
     load_spec,
@@ -36,7 +36,7 @@ def test_files_that_are_no_robots(tmp_path: Path) -> None:
     with pytest.raises(BadFile, match="an MJCF or URDF file, got a folder"):
         find_robot(tmp_path)
     path.write_text(ARM.format(place="", assets=""))
-    assert find_robot(path) == Robot("lab arm", path, False)
+    assert find_robot(path) == RobotFile("lab arm", path, False)
 
 
 def test_descriptions_that_cannot_be_used(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 
 from dropo.core.contracts.effect import instances_of
 from dropo.diagnosis.far_off.model import FarOffModel
-from dropo.diagnosis.far_off.motions import MotionSettings
+from dropo.diagnosis.far_off.motions import LongWindowSettings
 from dropo.diagnosis.far_off.search import FarOffSettings
 from dropo.diagnosis.regression.quick import sides
 from tests.models.first_models import unknown_rotor
@@ -15,7 +15,7 @@ NONE = np.zeros(0, dtype=np.int64)
 SETTINGS = FarOffSettings(
     laws=(),
     families=(("joint_armature",), ("actuator_bias",)),
-    motions=MotionSettings(seconds=(0.1,), physics_steps=12_000),
+    motions=LongWindowSettings(seconds=(0.1,), physics_steps=12_000),
 )
 """A search of short windows and few kinds of effects."""
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from dropo.core.contracts.problem import Problem
 from dropo.problems.measured.crazypad import FULL_COMMAND, FULL_THRUST, MODEL, crazypad_problem
-from dropo.problems.measured.recordings import Runs
+from dropo.problems.measured.recordings import RecordedRuns
 
 ARM = 0.032527  # [m] of each rotor from the axes of the frame
 TORQUE = 0.005964552  # [m] reaction torque by thrust
@@ -93,5 +93,5 @@ def flights(unusual, seed, normal=5, seconds=5.0):
     named = {f"normal {i}": Flight() for i in range(normal)} | unusual
     rngs = np.random.default_rng(seed).spawn(len(named))
     logs = [fly(flight, rng, seconds) for flight, rng in zip(named.values(), rngs, strict=True)]
-    problem: Problem = crazypad_problem(Runs(tuple(named), tuple(logs)), threads=1)
+    problem: Problem = crazypad_problem(RecordedRuns(tuple(named), tuple(logs)), threads=1)
     return problem

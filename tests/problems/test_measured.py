@@ -16,7 +16,7 @@ from dropo.likelihoods.emulated import Emulated
 from dropo.problems.loading import inputs_of
 from dropo.problems.measured.cube_toss import toss
 from dropo.problems.measured.external_data import find_data
-from dropo.problems.measured.recordings import Runs, gridded, measured, trajectories
+from dropo.problems.measured.recordings import RecordedRuns, gridded, measured, trajectories
 from dropo.problems.simulated.robots import simulated_robot
 
 HERE = find_data("double-pendulum/runs.npz") is not None
@@ -116,7 +116,7 @@ def test_every_third_run_is_held_out():
         }
         for i in range(7)
     ]
-    runs = Runs(tuple("abcdefg"), tuple(two))
+    runs = RecordedRuns(tuple("abcdefg"), tuple(two))
     problem = measured("seven", simulated_robot("torque-arm").simulator, runs, 5, "ctrl")
     assert len(problem.trajectories.spans) == 5
     assert len(problem.held_out.spans) == 2

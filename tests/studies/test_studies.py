@@ -11,12 +11,12 @@ from dropo.studies.engine.variants import variants_of
 from dropo.studies.engine.work import Work
 from dropo.studies.tiboni_2021 import distribution_recovery, figure_6_2, figure_6_4, hopper_fits
 from dropo.studies.tiboni_2021.hopper_fits import fitted, item
-from dropo.studies.tiboni_2021.hopper_sets import FULL, MEAN, Size
+from dropo.studies.tiboni_2021.hopper_sets import FULL, MEAN, HopperStudySize
 from dropo.studies.tiboni_2021.table_6_1 import table_6_1
 from dropo.studies.tiboni_2021.table_6_2 import table_6_2
 from dropo.studies.tiboni_2021.table_6_4 import light_torso, table_6_4
 
-SMALL = Size(transitions=20, starts=1, droid=16, draws=8, published=(3, 12, 4))
+SMALL = HopperStudySize(transitions=20, starts=1, droid=16, draws=8, published=(3, 12, 4))
 
 
 @pytest.fixture(autouse=True)

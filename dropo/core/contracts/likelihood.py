@@ -380,7 +380,7 @@ class LocalLikelihood(Likelihood):
 
 
 @dataclass(frozen=True, eq=False)
-class RunFit:
+class WholeRunsFit:
     """What a likelihood of whole runs found.
 
     Attributes
@@ -420,7 +420,7 @@ class RunLikelihood(Likelihood):
     @abstractmethod
     def fit_runs(
         self, problem: "Problem", run: "Run", family: Family, noise: Epsilon, mean: Array
-    ) -> RunFit:
+    ) -> WholeRunsFit:
         """Find its maximum.
 
         Parameters
@@ -438,7 +438,7 @@ class RunLikelihood(Likelihood):
 
         Returns
         -------
-        RunFit
+        WholeRunsFit
 
         Raises
         ------

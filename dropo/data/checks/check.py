@@ -24,7 +24,7 @@ from dropo.data.checks.columns import (
 from dropo.data.checks.findings import Finding, Level, errors_first
 from dropo.data.checks.kinematics import (
     Displacements,
-    MotionSettings,
+    KinematicsSettings,
     check_fall,
     check_motions,
     displacement_noise,
@@ -65,7 +65,7 @@ class CheckSettings:
         Largest number of rows in which sensors are compared.
     columns : ColumnSettings
         What makes single columns look odd.
-    motion : MotionSettings
+    motion : KinematicsSettings
         What makes velocities and free fall look odd.
     """
 
@@ -77,7 +77,7 @@ class CheckSettings:
     gap: float = 1.5
     sensor_rows: int = 1000
     columns: ColumnSettings = field(default_factory=ColumnSettings)
-    motion: MotionSettings = field(default_factory=MotionSettings)
+    motion: KinematicsSettings = field(default_factory=KinematicsSettings)
 
 
 DEFAULTS = CheckSettings()

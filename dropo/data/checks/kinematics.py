@@ -27,7 +27,7 @@ FACTORS = {
 
 
 @dataclass(frozen=True)
-class MotionSettings:
+class KinematicsSettings:
     """What makes a motion look odd.
 
     Attributes
@@ -66,7 +66,7 @@ class MotionSettings:
     wrong_fall_fraction: float = 0.1
 
 
-DEFAULTS = MotionSettings()
+DEFAULTS = KinematicsSettings()
 
 
 # Velocities
@@ -121,7 +121,7 @@ class _Windows:
 
 
 def check_motions(
-    motions: Sequence[Displacements], settings: MotionSettings = DEFAULTS
+    motions: Sequence[Displacements], settings: KinematicsSettings = DEFAULTS
 ) -> list[Finding]:
     """Find a velocity of the wrong sign or unit, or of another joint.
 
@@ -146,7 +146,7 @@ def check_motions(
 
 
 def _compare(
-    motions: Sequence[Displacements], settings: MotionSettings, *, one_of_several: bool
+    motions: Sequence[Displacements], settings: KinematicsSettings, *, one_of_several: bool
 ) -> list[Finding]:
     """Correlation and ratio of displacements and integrated velocities.
 
@@ -317,7 +317,7 @@ def check_fall(
     rows: Ints,
     time: Array,
     run: str | None = None,
-    settings: MotionSettings = DEFAULTS,
+    settings: KinematicsSettings = DEFAULTS,
 ) -> Iterator[Finding]:
     """Find a free body that falls in another way than under the model's gravity.
 
@@ -357,7 +357,7 @@ def check_fall(
 
 
 def _check_gravity_factor(
-    body: _Accelerations, gravity: Array, settings: MotionSettings
+    body: _Accelerations, gravity: Array, settings: KinematicsSettings
 ) -> Finding | None:
     """An error where a body falls along gravity, too fast, too slowly or upward."""
     g = float(np.linalg.norm(gravity))
@@ -381,7 +381,9 @@ def _check_gravity_factor(
     return body.error(i, text, sign if factor < 0 else units)
 
 
-def _check_gravity_axis(body: _Accelerations, g: float, settings: MotionSettings) -> Finding | None:
+def _check_gravity_axis(
+    body: _Accelerations, g: float, settings: KinematicsSettings
+) -> Finding | None:
     """An error where a body falls along another axis."""
     for axis in np.concatenate([np.eye(3), -np.eye(3)]):
         near = body.near(g * axis, settings.fall_tolerance)
@@ -395,7 +397,7 @@ def _check_gravity_axis(body: _Accelerations, g: float, settings: MotionSettings
 
 
 def fall_accelerations(
-    time: Array, positions: Array, settings: MotionSettings = DEFAULTS
+    time: Array, positions: Array, settings: KinematicsSettings = DEFAULTS
 ) -> tuple[Array, Ints]:
     """Compute accelerations from positions, by a parabola through the rows of each window.
 

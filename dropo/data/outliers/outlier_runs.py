@@ -87,7 +87,7 @@ class OutlierRun:
 
 
 @dataclass(frozen=True, eq=False)
-class Runs:
+class ComparedRuns:
     """The parameters of each of n runs by itself.
 
     Attributes
@@ -121,7 +121,7 @@ def compare_runs(
     *,
     seconds: float = 0.1,
     settings: OutlierRunSettings = SETTINGS,
-) -> Runs:
+) -> ComparedRuns:
     """Estimate each run's own parameters, and find the runs that differ from the rest.
 
     In each parameter, a run is compared with all others by a Student t test that allows for their
@@ -145,7 +145,7 @@ def compare_runs(
 
     Returns
     -------
-    Runs
+    ComparedRuns
 
     Raises
     ------
@@ -184,11 +184,11 @@ def compare_runs(
     for i in range(len(common)):
         outliers += _outliers(number, found[:, i], errors[:, i], i, simulator, settings)
     outliers.sort(key=lambda run: run.p_value)
-    return Runs(number, found, errors, tuple(outliers))
+    return ComparedRuns(number, found, errors, tuple(outliers))
 
 
 @dataclass(frozen=True, eq=False)
-class RunFit:
+class SingleRunFit:
     """The parameters of one run by itself.
 
     Attributes
@@ -217,7 +217,7 @@ def fit_run(
     common: Array,
     length: int,
     settings: OutlierRunSettings = SETTINGS,
-) -> RunFit:
+) -> SingleRunFit:
     """Fit the parameters to one run by itself, robustly.
 
     Parameters
@@ -235,7 +235,7 @@ def fit_run(
 
     Returns
     -------
-    RunFit
+    SingleRunFit
 
     Raises
     ------
@@ -252,7 +252,7 @@ def fit_run(
     covariance = fit.inverse @ (blocks.T @ blocks) @ fit.inverse * len(blocks) / (len(blocks) - 1)
     # The prior, not the run, determines parameters without information.
     silent = np.diagonal(fit.information) * np.diagonal(fit.inverse) < 1e-3
-    return RunFit(fit.value, covariance * np.outer(width, width), silent)
+    return SingleRunFit(fit.value, covariance * np.outer(width, width), silent)
 
 
 def _outliers(

@@ -20,7 +20,7 @@ from dropo.evaluation.held_out import DataPart, whole_part
 
 
 @dataclass(frozen=True)
-class MotionSettings:
+class LongWindowSettings:
     """Which windows are compared.
 
     Attributes
@@ -68,7 +68,7 @@ class MotionSettings:
     rate_noise: float = 0.05
 
 
-SETTINGS = MotionSettings()
+SETTINGS = LongWindowSettings()
 FEW = WindowSettings(fewest=3)
 """Long windows may be few: each has many pieces."""
 TOLD = 0.01
@@ -163,14 +163,14 @@ class Motions:
         return Whitener(self.loadings, self.start_sd, white(scale))
 
 
-def moving(signals: Array, settings: MotionSettings = SETTINGS) -> NDArray[np.bool_]:
+def moving(signals: Array, settings: LongWindowSettings = SETTINGS) -> NDArray[np.bool_]:
     """Tell where signals move.
 
     Parameters
     ----------
     signals : (W, L, p) array
         In windows of L steps.
-    settings : MotionSettings
+    settings : LongWindowSettings
         When a signal rests.
 
     Returns
@@ -187,7 +187,7 @@ def moving(signals: Array, settings: MotionSettings = SETTINGS) -> NDArray[np.bo
 
 
 def motions_of(
-    problem: Problem, library: Library, theta: Array, settings: MotionSettings = SETTINGS
+    problem: Problem, library: Library, theta: Array, settings: LongWindowSettings = SETTINGS
 ) -> tuple[Motions, Motions]:
     """Cut a problem's data into windows as long as a model can be compared over.
 
@@ -199,7 +199,7 @@ def motions_of(
         The model.
     theta : (m,) array
         Its numbers.
-    settings : MotionSettings
+    settings : LongWindowSettings
         Which windows.
 
     Returns
@@ -335,7 +335,7 @@ def _motions(
     return replace(plain, loadings=loadings, start_sd=start_sd)
 
 
-def _held_out(problem: Problem, length: int, settings: MotionSettings) -> Windows:
+def _held_out(problem: Problem, length: int, settings: LongWindowSettings) -> Windows:
     """Windows of the data held out, of this length or, where there are too few, of half of it."""
     if problem.held_out is None:
         raise BadArgument("Whole motions are judged by data held out. Got none.")
@@ -354,7 +354,7 @@ def _length(
     part: DataPart,
     library: Library,
     theta: Array,
-    settings: MotionSettings,
+    settings: LongWindowSettings,
 ) -> int:
     """Control steps of the longest windows for which there are data, and to whose end the start's
     noise acts linearly.
@@ -378,7 +378,7 @@ def _length(
     return found
 
 
-def _count(problem: Problem, length: int, settings: MotionSettings) -> int:
+def _count(problem: Problem, length: int, settings: LongWindowSettings) -> int:
     """How many windows of a side are simulated."""
     skip = robot_of(problem).steps_per_action
     steps = min(settings.control_steps, settings.physics_steps // skip)

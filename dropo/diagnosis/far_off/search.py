@@ -13,7 +13,7 @@ from dropo.core.services.files.evaluation_log import EvaluationLog
 from dropo.core.services.validation import Array
 from dropo.diagnosis.far_off.families import with_families
 from dropo.diagnosis.far_off.model import GAIN, FarOffModel
-from dropo.diagnosis.far_off.motions import Motions, MotionSettings, motions_of, outer_spread
+from dropo.diagnosis.far_off.motions import LongWindowSettings, Motions, motions_of, outer_spread
 from dropo.diagnosis.far_off.output_error import Fitted, Known, OutputError, OutputErrorSettings
 from dropo.diagnosis.far_off.ties import ties_of
 from dropo.diagnosis.search.bounds import at_bounds, totals_of
@@ -71,7 +71,7 @@ class FarOffSettings:
     accuracy : float
         Fraction of every number, with what the model has of it, that is added to its error: forces
         are known on the scale of the model's masses and inertias, which are not known better.
-    motions : MotionSettings
+    motions : LongWindowSettings
         Which windows are compared.
     rough_fit : OutputErrorSettings
         How the first fits are done.
@@ -100,7 +100,7 @@ class FarOffSettings:
     certain: float = 3.0
     scale: float = 0.2
     accuracy: float = 0.02
-    motions: MotionSettings = field(default_factory=MotionSettings)
+    motions: LongWindowSettings = field(default_factory=LongWindowSettings)
     rough_fit: OutputErrorSettings = field(default_factory=lambda: ROUGH)
     fit: OutputErrorSettings = field(default_factory=OutputErrorSettings)
 

@@ -50,7 +50,7 @@ class FarOffLimits:
 
 
 @dataclass(frozen=True, eq=False)
-class Start:
+class FarOffStart:
     """What a search by whole motions begins with.
 
     Attributes
@@ -71,7 +71,7 @@ class Start:
 
 def start_of(
     problem: Problem, free: Ints, limits: FarOffLimits, settings: QuickSettings
-) -> Start | None:
+) -> FarOffStart | None:
     """Find what a model lacks by regression, where that is much.
 
     Parameters
@@ -87,7 +87,7 @@ def start_of(
 
     Returns
     -------
-    Start or None
+    FarOffStart or None
         None where little is missing, or where the robot or the data do not suit a regression.
     """
     simulator = robot_of(problem)
@@ -116,7 +116,7 @@ def start_of(
     if problem.held_out is not None:
         fitted, checked = sides(replace(problem, held_out=None), settings.checked)
         divided = replace(problem, trajectories=fitted, held_out=checked)
-    return Start(FarOffModel(divided, values, free, tuple(numbers)), whole, sure)
+    return FarOffStart(FarOffModel(divided, values, free, tuple(numbers)), whole, sure)
 
 
 def _may_be(estimate: Missing, kinds: Sequence[str], limits: FarOffLimits) -> bool:

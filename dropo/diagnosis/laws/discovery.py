@@ -18,7 +18,7 @@ from dropo.diagnosis.laws.pursuit import (
     different,
     propose,
 )
-from dropo.diagnosis.laws.shapes import Ranges, Shape, ShapeSettings, shapes_at
+from dropo.diagnosis.laws.shapes import LawTerm, Ranges, ShapeSettings, shapes_at
 from dropo.diagnosis.search.confirmation import gain_of, is_confirmed
 from dropo.diagnosis.search.linearization import (
     Library,
@@ -274,7 +274,7 @@ def _columns(
     simulator: RobotSimulator,
     forces: ResidualForces,
     joint: Joint,
-    shapes: Sequence[Shape],
+    shapes: Sequence[LawTerm],
     settings: LawSettings,
 ) -> tuple[Array, Array]:
     """The whitened responses (K, N) to the terms, and their lengths (K,) with all they have."""

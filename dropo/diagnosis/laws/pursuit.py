@@ -7,7 +7,7 @@ from math import comb, log
 import numpy as np
 
 from dropo.core.services.validation import Array
-from dropo.diagnosis.laws.shapes import Shape
+from dropo.diagnosis.laws.shapes import LawTerm
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Proposal:
     ----------
     joint : str
         Where it acts.
-    shapes : tuple of Shape
+    shapes : tuple of LawTerm
         Its terms.
     sizes : (k,) array
         The constants before them.
@@ -56,7 +56,7 @@ class Proposal:
     """
 
     joint: str
-    shapes: tuple[Shape, ...]
+    shapes: tuple[LawTerm, ...]
     sizes: Array
     gain: float
     score: float
@@ -65,7 +65,7 @@ class Proposal:
 
 def propose(
     joint: str,
-    shapes: list[Shape],
+    shapes: list[LawTerm],
     columns: Array,
     residuals: Array,
     variance: float,
@@ -80,7 +80,7 @@ def propose(
     ----------
     joint : str
         The joint.
-    shapes : list of Shape
+    shapes : list of LawTerm
         K terms.
     columns : (K, N) array
         Their whitened responses, without what is explained anyway.

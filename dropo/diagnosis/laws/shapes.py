@@ -10,7 +10,7 @@ from dropo.effects.joints.joint_cogging import COGS
 
 
 @dataclass(frozen=True)
-class Shape:
+class LawTerm:
     """A term of a law, without its constant.
 
     Attributes
@@ -108,7 +108,7 @@ class ShapeSettings:
 SETTINGS = ShapeSettings()
 
 
-def shapes_at(ranges: Ranges, settings: ShapeSettings = SETTINGS) -> list[Shape]:
+def shapes_at(ranges: Ranges, settings: ShapeSettings = SETTINGS) -> list[LawTerm]:
     """List the shapes for a joint.
 
     Parameters
@@ -120,7 +120,7 @@ def shapes_at(ranges: Ranges, settings: ShapeSettings = SETTINGS) -> list[Shape]
 
     Returns
     -------
-    list of Shape
+    list of LawTerm
         Each differently written.
     """
     found = [
@@ -134,121 +134,121 @@ def shapes_at(ranges: Ranges, settings: ShapeSettings = SETTINGS) -> list[Shape]
     return list({shape.numbers: shape for shape in found}.values())
 
 
-def _of_speed(ranges: Ranges, settings: ShapeSettings) -> Iterator[Shape]:
+def _of_speed(ranges: Ranges, settings: ShapeSettings) -> Iterator[LawTerm]:
     """Drags and frictions."""
-    yield Shape("v", "viscous friction", known=True)
-    yield Shape("sign(v)", "dry friction", known=True)
-    yield Shape("abs(v) * v", "quadratic drag")
-    yield Shape("v**3", "cubic drag")
-    yield Shape("sign(v) * sqrt(abs(v))", "square-root friction")
-    yield Shape("abs(v)", "viscous friction that differs by direction")
-    yield Shape("v**2", "quadratic drag that differs by direction")
+    yield LawTerm("v", "viscous friction", known=True)
+    yield LawTerm("sign(v)", "dry friction", known=True)
+    yield LawTerm("abs(v) * v", "quadratic drag")
+    yield LawTerm("v**3", "cubic drag")
+    yield LawTerm("sign(v) * sqrt(abs(v))", "square-root friction")
+    yield LawTerm("abs(v)", "viscous friction that differs by direction")
+    yield LawTerm("v**2", "quadratic drag that differs by direction")
     for speed in _scales(ranges.v, settings.speeds):
-        yield Shape("tanh(v / {0})", "friction that saturates with speed", (("w", speed),))
-        yield Shape("exp(-(v / {0})**2) * sign(v)", "Stribeck", (("w", speed),), known=True)
+        yield LawTerm("tanh(v / {0})", "friction that saturates with speed", (("w", speed),))
+        yield LawTerm("exp(-(v / {0})**2) * sign(v)", "Stribeck", (("w", speed),), known=True)
 
 
-def _of_position(ranges: Ranges, settings: ShapeSettings) -> Iterator[Shape]:
+def _of_position(ranges: Ranges, settings: ShapeSettings) -> Iterator[LawTerm]:
     """Springs, stops, detents, ripples."""
-    yield Shape("1", "constant force", known=True)
-    yield Shape("q", "spring", known=True)
-    yield Shape("q**2", "spring with a quadratic part")
-    yield Shape("q**3", "cubic spring")
-    yield Shape("abs(q) * q", "spring that stiffens")
-    yield Shape("abs(q)", "spring that differs by side")
-    yield Shape("q * v", "viscous friction that grows along the way")
-    yield Shape("q**2 * v", "viscous friction that grows away from the middle")
-    yield Shape("q * sign(v)", "dry friction that grows along the way")
-    yield Shape("q**2 * sign(v)", "dry friction that grows away from the middle")
+    yield LawTerm("1", "constant force", known=True)
+    yield LawTerm("q", "spring", known=True)
+    yield LawTerm("q**2", "spring with a quadratic part")
+    yield LawTerm("q**3", "cubic spring")
+    yield LawTerm("abs(q) * q", "spring that stiffens")
+    yield LawTerm("abs(q)", "spring that differs by side")
+    yield LawTerm("q * v", "viscous friction that grows along the way")
+    yield LawTerm("q**2 * v", "viscous friction that grows away from the middle")
+    yield LawTerm("q * sign(v)", "dry friction that grows along the way")
+    yield LawTerm("q**2 * sign(v)", "dry friction that grows away from the middle")
     span = float(ranges.q[-1] - ranges.q[0])
     for place in _quantiles(ranges.q, settings.places):
         own = ("a", place)
-        yield Shape("max(q - {0}, 0)", "tether or stop", (own,))
-        yield Shape("max({0} - q, 0)", "tether or stop", (own,))
+        yield LawTerm("max(q - {0}, 0)", "tether or stop", (own,))
+        yield LawTerm("max({0} - q, 0)", "tether or stop", (own,))
         for part in settings.widths:
             sizes = (own, ("w", part * span))
             text = "(q - {0}) * exp(-((q - {0}) / {1})**2)"
-            yield Shape(text, "detent", sizes)
+            yield LawTerm(text, "detent", sizes)
     for part in settings.places:
         width = float(np.quantile(np.abs(ranges.q), part))
         if width > 0:
-            yield Shape("dead(q, {0})", "spring with play", (("w", width),))
+            yield LawTerm("dead(q, {0})", "spring with play", (("w", width),))
     if ranges.hinge:
         for order in range(1, settings.orders + 1):
             known = order in COGS
-            yield Shape(f"sin({order} * q)", "torque ripple", known=known)
-            yield Shape(f"cos({order} * q)", "torque ripple", known=known)
+            yield LawTerm(f"sin({order} * q)", "torque ripple", known=known)
+            yield LawTerm(f"cos({order} * q)", "torque ripple", known=known)
 
 
-def _of_load(ranges: Ranges) -> Iterator[Shape]:
+def _of_load(ranges: Ranges) -> Iterator[LawTerm]:
     """What grows with the motor's force or the load."""
-    yield Shape("abs(load) * sign(v)", "friction that grows with the load")
-    yield Shape("abs(load) * v", "viscous friction that grows with the load")
-    yield Shape("load", "gravity and inertia that are off")
-    yield Shape("contact", "contact force that is off")
-    yield Shape("abs(contact) * sign(v)", "friction that grows with the contact force")
+    yield LawTerm("abs(load) * sign(v)", "friction that grows with the load")
+    yield LawTerm("abs(load) * v", "viscous friction that grows with the load")
+    yield LawTerm("load", "gravity and inertia that are off")
+    yield LawTerm("contact", "contact force that is off")
+    yield LawTerm("abs(contact) * sign(v)", "friction that grows with the contact force")
     if not ranges.motor:
         return
-    yield Shape("motor", "gain", known=True)
-    yield Shape("abs(motor) * sign(v)", "friction that grows with the drive's force", known=True)
-    yield Shape("abs(motor) * v", "viscous friction that grows with the drive's force")
-    yield Shape("motor * abs(v)", "force that falls with speed", known=True)
-    yield Shape("motor * v**2", "force that falls with the square of speed")
-    yield Shape("abs(motor) * motor", "gain that falls with the force")
-    yield Shape("motor**3", "gain that falls with the force")
-    yield Shape("motor**2", "gain that differs by direction")
-    yield Shape("abs(motor)", "gain that differs by direction")
-    yield Shape("motor * q", "gain that changes along the way")
-    yield Shape("motor * q**2", "gain that changes away from the middle")
+    yield LawTerm("motor", "gain", known=True)
+    yield LawTerm("abs(motor) * sign(v)", "friction that grows with the drive's force", known=True)
+    yield LawTerm("abs(motor) * v", "viscous friction that grows with the drive's force")
+    yield LawTerm("motor * abs(v)", "force that falls with speed", known=True)
+    yield LawTerm("motor * v**2", "force that falls with the square of speed")
+    yield LawTerm("abs(motor) * motor", "gain that falls with the force")
+    yield LawTerm("motor**3", "gain that falls with the force")
+    yield LawTerm("motor**2", "gain that differs by direction")
+    yield LawTerm("abs(motor)", "gain that differs by direction")
+    yield LawTerm("motor * q", "gain that changes along the way")
+    yield LawTerm("motor * q**2", "gain that changes away from the middle")
 
 
-def _of_time(ranges: Ranges, settings: ShapeSettings) -> Iterator[Shape]:
+def _of_time(ranges: Ranges, settings: ShapeSettings) -> Iterator[LawTerm]:
     """What changes in the course of each trajectory."""
-    yield Shape("t", "force that grows with time")
-    yield Shape("t * v", "viscous friction that grows with time")
-    yield Shape("t * sign(v)", "dry friction that grows with time")
+    yield LawTerm("t", "force that grows with time")
+    yield LawTerm("t * v", "viscous friction that grows with time")
+    yield LawTerm("t * sign(v)", "dry friction that grows with time")
     if ranges.motor:
-        yield Shape("motor * t", "thermal derating")
+        yield LawTerm("motor * t", "thermal derating")
     for part in settings.times:
         own = (("T", part * ranges.seconds),)
-        yield Shape("exp(-t / {0}) * v", "viscous friction that warms up", own)
-        yield Shape("exp(-t / {0}) * sign(v)", "dry friction that warms up", own)
+        yield LawTerm("exp(-t / {0}) * v", "viscous friction that warms up", own)
+        yield LawTerm("exp(-t / {0}) * sign(v)", "dry friction that warms up", own)
         if ranges.motor:
-            yield Shape("motor * exp(-t / {0})", "derating over time", own)
+            yield LawTerm("motor * exp(-t / {0})", "derating over time", own)
 
 
-def _of_others(ranges: Ranges) -> Iterator[Shape]:
+def _of_others(ranges: Ranges) -> Iterator[LawTerm]:
     """What other joints do."""
     for other in ranges.others:
         own = other if other.isidentifier() else None
         q, v = (f"q.{own}", f"v.{own}") if own else (f'q["{other}"]', f'v["{other}"]')
-        yield Shape(f"{v} * v", "coupling by the product of speeds")
-        yield Shape(f"{v}**2", "coupling by the square of another speed")
-        yield Shape(f"abs({v}) * {v}", "drag of another joint")
-        yield Shape(v, "viscous coupling")
-        yield Shape(f"sign({v})", "dry friction of another joint")
-        yield Shape(q, "spring between joints")
-        yield Shape(f"{q}**3", "cubic spring between joints")
-        yield Shape(f"{q} * q", "spring that another joint changes")
-        yield Shape(f"{q} * v", "viscous friction that another joint changes")
+        yield LawTerm(f"{v} * v", "coupling by the product of speeds")
+        yield LawTerm(f"{v}**2", "coupling by the square of another speed")
+        yield LawTerm(f"abs({v}) * {v}", "drag of another joint")
+        yield LawTerm(v, "viscous coupling")
+        yield LawTerm(f"sign({v})", "dry friction of another joint")
+        yield LawTerm(q, "spring between joints")
+        yield LawTerm(f"{q}**3", "cubic spring between joints")
+        yield LawTerm(f"{q} * q", "spring that another joint changes")
+        yield LawTerm(f"{q} * v", "viscous friction that another joint changes")
 
 
-def _remembering(ranges: Ranges, settings: ShapeSettings) -> Iterator[Shape]:
+def _remembering(ranges: Ranges, settings: ShapeSettings) -> Iterator[LawTerm]:
     """What has states of its own."""
     span = float(ranges.q[-1] - ranges.q[0])
     for part in settings.distances:
         own = (("x", part * span),)
-        yield Shape("dahl({0})", "presliding (Dahl) friction", own)
-        yield Shape("abs(load) * dahl({0})", "presliding friction that grows with the load", own)
+        yield LawTerm("dahl({0})", "presliding (Dahl) friction", own)
+        yield LawTerm("abs(load) * dahl({0})", "presliding friction that grows with the load", own)
         if ranges.motor:
             text = "abs(motor) * dahl({0})"
-            yield Shape(text, "presliding friction that grows with the drive's force", own)
+            yield LawTerm(text, "presliding friction that grows with the drive's force", own)
     for part in settings.times:
         own = (("T", part * ranges.seconds),)
         if ranges.motor:
-            yield Shape("motor * lag(motor**2, {0})", "thermal derating by past force", own)
-            yield Shape("lag(motor, {0})", "force with a lag", own)
-        yield Shape("lag(v, {0})", "viscoelastic (Maxwell) element", own)
+            yield LawTerm("motor * lag(motor**2, {0})", "thermal derating by past force", own)
+            yield LawTerm("lag(motor, {0})", "force with a lag", own)
+        yield LawTerm("lag(v, {0})", "viscoelastic (Maxwell) element", own)
 
 
 def _quantiles(grid: Array, parts: Sequence[float]) -> list[float]:

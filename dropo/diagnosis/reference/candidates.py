@@ -19,7 +19,7 @@ MORE = ">0"
 
 
 @dataclass(frozen=True)
-class Candidate:
+class PossibleDifference:
     """One number in which a run may differ.
 
     Attributes
@@ -55,7 +55,7 @@ class Candidate:
         return f"{self.effect}/{self.quantity}{everywhere}"
 
 
-def effect_candidates(problem: Problem, effects: Sequence[str]) -> list[Candidate]:
+def effect_candidates(problem: Problem, effects: Sequence[str]) -> list[PossibleDifference]:
     """List the numbers of effects, in their order.
 
     Parameters
@@ -67,7 +67,7 @@ def effect_candidates(problem: Problem, effects: Sequence[str]) -> list[Candidat
 
     Returns
     -------
-    list of Candidate
+    list of PossibleDifference
         Those instances that have one number; an effect of several at once has none.
 
     Raises
@@ -91,7 +91,7 @@ def effect_candidates(problem: Problem, effects: Sequence[str]) -> list[Candidat
             low = 0.0 if text.endswith(MORE) else quantity.low
             high = 0.0 if text.endswith(LESS) else quantity.high
             found.append(
-                Candidate(
+                PossibleDifference(
                     instance.effect,
                     instance.target,
                     instance.variant,
@@ -105,7 +105,7 @@ def effect_candidates(problem: Problem, effects: Sequence[str]) -> list[Candidat
     return found
 
 
-def parameter_candidates(simulator: RobotSimulator) -> list[Candidate]:
+def parameter_candidates(simulator: RobotSimulator) -> list[PossibleDifference]:
     """List the declared parameters, which may differ to both sides.
 
     Parameters
@@ -115,11 +115,11 @@ def parameter_candidates(simulator: RobotSimulator) -> list[Candidate]:
 
     Returns
     -------
-    list of Candidate
+    list of PossibleDifference
         One for each of the d parameters, in the order of the simulator's space.
     """
     return [
-        Candidate("parameter", own.name, "", "value", own.unit, -np.inf, np.inf)
+        PossibleDifference("parameter", own.name, "", "value", own.unit, -np.inf, np.inf)
         for own in simulator.space
     ]
 

@@ -20,17 +20,17 @@ from dropo.core.records.trajectories import Ints, Segments, Trajectories
 from dropo.core.services.errors import BadArgument
 from dropo.core.services.validation import Array, known, require
 from dropo.data.outliers.disturbances import cut
-from dropo.data.outliers.outlier_runs import OutlierRunSettings, RunFit, fit_run
+from dropo.data.outliers.outlier_runs import OutlierRunSettings, SingleRunFit, fit_run
 from dropo.data.outliers.without_disturbances import both_sides
 from dropo.diagnosis.parts import Estimate
 from dropo.diagnosis.reference.candidates import (
-    Candidate,
+    PossibleDifference,
     effect_candidates,
     independent,
     parameter_candidates,
     responses,
 )
-from dropo.diagnosis.reference.result import ComparedRun, Difference, RunComparison
+from dropo.diagnosis.reference.result import ComparedRun, RunComparison, RunDifference
 from dropo.diagnosis.search.library import robot_of
 from dropo.mjmodel.robot_simulator import RobotSimulator
 
@@ -172,7 +172,7 @@ def check_comparison(
     reference: Sequence[str] | None = None,
     effects: Sequence[str] | None = None,
     settings: ReferenceSettings = SETTINGS,
-) -> tuple[list[Candidate], NDArray[np.bool_]]:
+) -> tuple[list[PossibleDifference], NDArray[np.bool_]]:
     """Refuse what `compare_with_reference` would, before anything is simulated.
 
     Parameters
@@ -182,7 +182,7 @@ def check_comparison(
 
     Returns
     -------
-    candidates : list of Candidate
+    candidates : list of PossibleDifference
         What may differ.
     is_reference : (G,) array of bool
         Which runs are normal.
@@ -205,17 +205,17 @@ def check_comparison(
     ), is_reference
 
 
-def _instances(candidates: Sequence[Candidate]) -> list[EffectInstance]:
+def _instances(candidates: Sequence[PossibleDifference]) -> list[EffectInstance]:
     """The effects among candidates, in their order."""
     return [one.instance for one in candidates if one.instance is not None]
 
 
 def _describing(
     simulator: RobotSimulator,
-    candidates: Sequence[Candidate],
+    candidates: Sequence[PossibleDifference],
     windows: Segments,
     settings: ReferenceSettings,
-) -> list[Candidate]:
+) -> list[PossibleDifference]:
     """The candidates that do not stand in for each other; declared parameters first, and all."""
     columns = responses(simulator, _instances(candidates), simulator.nominal, windows)
     chosen = independent(columns, settings.independent)
@@ -232,8 +232,8 @@ def _describing(
 
 def _signatures(
     extended: RobotSimulator,
-    numbers: Sequence[Candidate],
-    candidates: Sequence[Candidate],
+    numbers: Sequence[PossibleDifference],
+    candidates: Sequence[PossibleDifference],
     mean: Array,
     windows: Segments,
 ) -> dict[str, Array]:
@@ -298,7 +298,7 @@ def _own_numbers(
     common: Array,
     length: int,
     settings: ReferenceSettings,
-) -> list[RunFit]:
+) -> list[SingleRunFit]:
     """Each run's numbers by themselves."""
     fits = []
     for run in range(int(members.max()) + 1):
@@ -316,9 +316,9 @@ class _Comparison:
 
     def __init__(
         self,
-        numbers: Sequence[Candidate],
+        numbers: Sequence[PossibleDifference],
         values: Array,
-        fits: Sequence[RunFit],
+        fits: Sequence[SingleRunFit],
         normal: Ints,
         run: int,
     ):
@@ -351,15 +351,15 @@ class _Comparison:
 
     def causes(
         self,
-        candidates: Sequence[Candidate],
+        candidates: Sequence[PossibleDifference],
         signature: Mapping[str, Array],
         tolerance: Array,
         settings: ReferenceSettings,
-    ) -> tuple[Difference, ...]:
+    ) -> tuple[RunDifference, ...]:
         """The candidate that explains the run best, and a second one where it is needed."""
         variance = self.variance + tolerance
         weight = np.asarray(np.linalg.inv(variance))
-        found: list[Difference] = []
+        found: list[RunDifference] = []
         away: Array = self.away
         taken: Array = np.zeros((len(away), 0))
         first = 0.0
@@ -377,7 +377,7 @@ class _Comparison:
             close = np.flatnonzero(squares > squares[best] - settings.confused)
             confused = tuple(candidates[k].label for k in close.tolist() if k != best)
             found.append(
-                Difference(
+                RunDifference(
                     one.effect,
                     one.target,
                     one.variant,
@@ -396,7 +396,7 @@ class _Comparison:
         return tuple(found)
 
     def _size(
-        self, one: Candidate, column: Array, away: Array, taken: Array, weight: Array
+        self, one: PossibleDifference, column: Array, away: Array, taken: Array, weight: Array
     ) -> tuple[float, float]:
         """Size of a candidate within its bounds, beside those that are taken, and its error."""
         if taken.shape[1]:

@@ -10,7 +10,7 @@ from dropo.diagnosis.parts import Estimate
 
 
 @dataclass(frozen=True)
-class Difference:
+class RunDifference:
     """One thing that differs in a run.
 
     Attributes
@@ -71,7 +71,7 @@ class ComparedRun:
         The chance of a normal run to be as far off.
     differs : bool
         Whether that is below the level.
-    causes : tuple of Difference
+    causes : tuple of RunDifference
         What differs, the largest first; may be empty where nothing that was looked for explains it.
     numbers : tuple of float
         The run's own numbers, in the order of `RunComparison.numbers`.
@@ -81,7 +81,7 @@ class ComparedRun:
     is_reference: bool
     p_value: float
     differs: bool
-    causes: tuple[Difference, ...]
+    causes: tuple[RunDifference, ...]
     numbers: tuple[float, ...]
 
     def to_json(self) -> dict[str, Any]:

@@ -258,7 +258,7 @@ def equation_of(
     """
     simulator = robot_of(problem)
     refuse_unsuitable(simulator)
-    log = Log(simulator, trajectories)
+    log = UniformLog(simulator, trajectories)
     if width is None:
         width = _first_width(log, settings)
     second = settings.second * width
@@ -316,7 +316,7 @@ def _drives_at_rest(simulator: RobotSimulator) -> LinearDrives:
     return linear_drives(model, np.zeros((1, model.nq)), np.zeros((1, model.nv)))
 
 
-class Log:
+class UniformLog:
     """Positions and commands of each run, on a uniform grid.
 
     Parameters
@@ -462,19 +462,19 @@ class Log:
 
 
 @dataclass(frozen=True)
-class _Places:
+class _CoordinateSlices:
     """Where numbers are among positions and velocities."""
 
     position: slice
     velocity: slice
 
 
-def _places(joint: Joint) -> tuple[_Places, _Places | None]:
+def _places(joint: Joint) -> tuple[_CoordinateSlices, _CoordinateSlices | None]:
     """Where a joint's straight motions or angles are, and of a free one its rotation."""
     p, v = joint.qpos, joint.qvel
     if joint.quaternion() is None:
-        return _Places(slice(p, p + 1), slice(v, v + 1)), None
-    return _Places(slice(p, p + 3), slice(v, v + 3)), _Places(
+        return _CoordinateSlices(slice(p, p + 1), slice(v, v + 1)), None
+    return _CoordinateSlices(slice(p, p + 3), slice(v, v + 3)), _CoordinateSlices(
         slice(p + 3, p + 7), slice(v + 3, v + 6)
     )
 
@@ -498,7 +498,7 @@ def _delays(simulator: RobotSimulator, settings: EquationSettings) -> Array:
     return np.linspace(-physics_step(simulator.model), longest, 25)
 
 
-def _first_width(log: Log, settings: EquationSettings) -> float:
+def _first_width(log: UniformLog, settings: EquationSettings) -> float:
     """The width of the first kernel [s] at which accelerations stand out from noise."""
     noise = log.noise
     width = settings.narrowest * log.step
@@ -518,7 +518,9 @@ def _first_width(log: Log, settings: EquationSettings) -> float:
     return width
 
 
-def _stretches(log: Log, reach: int, settings: EquationSettings) -> list[tuple[int, int, int]]:
+def _stretches(
+    log: UniformLog, reach: int, settings: EquationSettings
+) -> list[tuple[int, int, int]]:
     """(run, first row, row behind the last) of the stretches that are used."""
     shortest = int(settings.stretch * reach)
     whole = [(run, len(rows)) for run, rows in enumerate(log.positions) if len(rows) >= shortest]
@@ -536,7 +538,7 @@ def _stretches(log: Log, reach: int, settings: EquationSettings) -> list[tuple[i
 
 def _stretch_equation(
     model: Model,
-    log: Log,
+    log: UniformLog,
     stretch: tuple[int, int, int],
     delays: Array,
     width: float,

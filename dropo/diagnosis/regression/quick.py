@@ -232,7 +232,7 @@ class QuickDiagnose:
 
 
 @dataclass(frozen=True, eq=False)
-class Number:
+class FoundNumber:
     """Something that is missing.
 
     Attributes
@@ -296,7 +296,7 @@ class Missing:
         drive = np.maximum(root_mean_square(self.fitter.forces(solution.delay)), 1e-300)
         return float(np.sqrt(np.mean((root_mean_square(residuals) / drive) ** 2)))
 
-    def numbers(self, simulator: RobotSimulator, certain: float) -> list[Number]:
+    def numbers(self, simulator: RobotSimulator, certain: float) -> list[FoundNumber]:
         """List all numbers that were fitted, with their errors.
 
         Parameters
@@ -308,7 +308,7 @@ class Missing:
 
         Returns
         -------
-        list of Number
+        list of FoundNumber
             The gain, the terms, the payload and the delay, as far as they are there.
         """
         solution = self.solution
@@ -324,7 +324,7 @@ class Missing:
         ) -> None:
             first = next(iter(sizes.values()))
             named = least == -np.inf or abs(first.value) > max(least, certain * first.se)
-            found.append(Number(index, *place, tuple(sizes.items()), named))
+            found.append(FoundNumber(index, *place, tuple(sizes.items()), named))
 
         if GAIN in solution.chosen:
             gain = Estimate(solution.gain, errors.pop(0) / solution.beta**2, "1", 1.0)

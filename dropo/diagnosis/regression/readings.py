@@ -19,7 +19,7 @@ from dropo.core.services.errors import BadArgument, Incompatible
 from dropo.core.services.validation import Array
 from dropo.diagnosis.regression.equation import (
     EquationSettings,
-    Log,
+    UniformLog,
     is_floating,
     model_of,
     refuse_unsuitable,
@@ -118,7 +118,7 @@ class Reading:
 
 
 @dataclass(frozen=True, eq=False)
-class _Motion:
+class _SmoothedMotion:
     """R rows of a log under a reading of its angles, smoothed: (R, nv) each.
 
     The gains (n, nu) of each stretch are not smoothed.
@@ -179,7 +179,7 @@ class Readings:
     fitted: Trajectories
     checked: Trajectories
     settings: ReadingSettings = SETTINGS
-    _motions: dict[object, _Motion] = field(default_factory=dict)
+    _motions: dict[object, _SmoothedMotion] = field(default_factory=dict)
     _fits: dict[object, JointFit] = field(default_factory=dict)
     _smooth: dict[object, Array] = field(default_factory=dict)
 
@@ -190,7 +190,7 @@ class Readings:
             raise Incompatible("Readings of columns are compared on fixed bases alone.")
         self.model = model_of(simulator)
         self.joints: list[Joint] = joints(self.model)
-        fitted, checked = Log(simulator, self.fitted), Log(simulator, self.checked)
+        fitted, checked = UniformLog(simulator, self.fitted), UniformLog(simulator, self.checked)
         equation = EquationSettings()
         self.width = first_width(fitted, equation)
         self.second = equation.second * self.width
@@ -362,7 +362,7 @@ class Readings:
             self._fits[key] = self._held_out(motion, dof, sizes, drive)
         return self._fits[key]
 
-    def _held_out(self, motion: _Motion, dof: int, sizes: Array, drive: Array) -> JointFit:
+    def _held_out(self, motion: _SmoothedMotion, dof: int, sizes: Array, drive: Array) -> JointFit:
         """How well numbers that were fitted explain the rows held out."""
         rows = self.held & motion.moves[:, dof]
         columns, target = self._columns(motion, dof, [drive])
@@ -377,7 +377,9 @@ class Readings:
         of_block = np.where(count > 0, of_block / scale, np.nan)
         return JointFit(float(error.mean()) / scale, of_block, float(sizes[0]))
 
-    def _solved(self, motion: _Motion, dof: int, drives: Sequence[Array]) -> tuple[float, Array]:
+    def _solved(
+        self, motion: _SmoothedMotion, dof: int, drives: Sequence[Array]
+    ) -> tuple[float, Array]:
         """The squared force that is left of the fitted rows, as a fraction, and the sizes."""
         from scipy.optimize import nnls  # slow to import
 
@@ -392,7 +394,9 @@ class Readings:
         square = residual**2 + target @ target - along @ along
         return float(square) / max(float(target @ target), 1e-300), np.asarray(sizes) / scale
 
-    def _columns(self, motion: _Motion, dof: int, drives: Sequence[Array]) -> tuple[Array, Array]:
+    def _columns(
+        self, motion: _SmoothedMotion, dof: int, drives: Sequence[Array]
+    ) -> tuple[Array, Array]:
         """The columns of numbers that are 0 or above, those of drives first, and what they explain.
 
         Beside the drives: a rotor, a heavier load, dry friction; and of either sign damping and an
@@ -415,7 +419,13 @@ class Readings:
         return np.stack(columns, axis=1), target
 
     def _drive(
-        self, reading: Reading, motion: _Motion, dof: int, delay: float, *, within: bool = True
+        self,
+        reading: Reading,
+        motion: _SmoothedMotion,
+        dof: int,
+        delay: float,
+        *,
+        within: bool = True,
     ) -> Array:
         """(R,) the forces of a joint's drives by commands that come late.
 
@@ -442,7 +452,14 @@ class Readings:
         return bool(np.any(np.ptp(gains, axis=0) > 1e-9 * np.abs(gains).max(axis=0)))
 
     def _late(
-        self, log: Log, stretch: Stretch, reading: Reading, i: int, delay: float, *, within: bool
+        self,
+        log: UniformLog,
+        stretch: Stretch,
+        reading: Reading,
+        i: int,
+        delay: float,
+        *,
+        within: bool,
     ) -> Array:
         """(n,) the smoothed command of an actuator in a stretch."""
         run, start, stop = stretch
@@ -454,7 +471,7 @@ class Readings:
         kernel = held_kernel(self.width, log.step, delay)
         return apply_kernel(kernel, commands[start:stop, [i]])[:, 0]
 
-    def _motion(self, reading: Reading) -> _Motion:
+    def _motion(self, reading: Reading) -> _SmoothedMotion:
         """The rows under a reading of the angles."""
         key = reading.of_angles
         if key not in self._motions:
@@ -463,10 +480,12 @@ class Readings:
             whole = {name: np.concatenate([part[name] for part, _ in made]) for name in names}
             moves = whole.pop("still") < self.settings.sticks
             gains = tuple(one for _, one in made)
-            self._motions[key] = _Motion(**whole, moves=moves, gains=gains)
+            self._motions[key] = _SmoothedMotion(**whole, moves=moves, gains=gains)
         return self._motions[key]
 
-    def _part(self, log: Log, stretch: Stretch, reading: Reading) -> tuple[dict[str, Array], Array]:
+    def _part(
+        self, log: UniformLog, stretch: Stretch, reading: Reading
+    ) -> tuple[dict[str, Array], Array]:
         """The arrays of one stretch, and the gains of its drives."""
         run, start, stop = stretch
         angles = log.positions[run][start:stop][:, reading.angles] * reading.angle_scales
@@ -500,7 +519,7 @@ class Readings:
         smooth = derivative_kernels(self.second, self.parts[0][0].step)[0]
         return apply_kernel(smooth, rows)[self._kept(stretch)]
 
-    def _stretches(self, log: Log, rows: int) -> list[Stretch]:
+    def _stretches(self, log: UniformLog, rows: int) -> list[Stretch]:
         """The stretches of a side that are used, so many rows in all."""
         equation = EquationSettings(rows=rows)
         found = stretches_of(log, self.reach, equation)

@@ -18,7 +18,7 @@ from dropo.core.numerics.tails import student_tail
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import BadArgument, Incompatible
 from dropo.core.services.validation import Array
-from dropo.diagnosis.regression.equation import Log
+from dropo.diagnosis.regression.equation import UniformLog
 from dropo.diagnosis.regression.readings import JointFit, Reading, Readings, ReadingSettings, sides
 from dropo.diagnosis.regression.result import Evidence, WiringFault
 from dropo.diagnosis.search.library import robot_of
@@ -230,7 +230,7 @@ def wiring_of(problem: Problem, settings: WiringSettings = SETTINGS) -> Wiring:
     else:
         followers = _followers(robot_of(problem), problem.trajectories, settings)
         following = _following(followers, settings)
-        search = _Search(readings, settings, following)
+        search = _WiringSearch(readings, settings, following)
         found = search.run()
         return found if found.faults else search.of_opposed(_opposed(followers, settings))
     try:
@@ -258,7 +258,7 @@ def wiring_faults(problem: Problem, settings: WiringSettings = SETTINGS) -> tupl
 
 
 @dataclass(frozen=True, eq=False)
-class _Search:
+class _WiringSearch:
     """A search for the changes that explain the forces, one after another.
 
     following: the degrees of freedom of servos whose joints follow their own commands closely. Not
@@ -672,7 +672,7 @@ def _followers(
     servos = position_servos(simulator.model)
     if not servos:
         return None
-    log = Log(simulator, trajectories)
+    log = UniformLog(simulator, trajectories)
     positions = [rows[:, [joint.qpos for joint, _ in servos]] for rows in log.positions]
     commands = [rows[:, [servo for _, servo in servos]] for rows in log.commands]
     sizes = np.concatenate(_centred(commands)).std(axis=0)

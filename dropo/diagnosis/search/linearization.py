@@ -12,7 +12,7 @@ from dropo.core.contracts.simulator import Simulator
 from dropo.core.numerics.finite_differences import axial_design
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
-from dropo.diagnosis.search.whitening import Noise, Whitener, learn_noise
+from dropo.diagnosis.search.whitening import Whitener, WindowNoise, learn_noise
 from dropo.diagnosis.search.windows import Windows
 from dropo.mjmodel.robot_simulator import RobotSimulator
 
@@ -21,7 +21,7 @@ DIVERGED = 1e3
 
 
 @dataclass(frozen=True)
-class DifferenceSettings:
+class DerivativeSettings:
     """Half widths of the differences that derivatives are taken from.
 
     Attributes
@@ -36,7 +36,7 @@ class DifferenceSettings:
     of_probe: float = 0.1
 
 
-DEFAULTS = DifferenceSettings()
+DEFAULTS = DerivativeSettings()
 
 
 @dataclass(eq=False)
@@ -51,7 +51,7 @@ class Library:
         The effects, in the order of their magnitudes.
     declared : int
         d.
-    differences : DifferenceSettings
+    differences : DerivativeSettings
         Widths of differences.
     places : dict of str to (q,) int array
         For each effect's label, the indices of its magnitudes among the parameters.
@@ -60,7 +60,7 @@ class Library:
     simulator: Simulator
     instances: Sequence[EffectInstance]
     declared: int
-    differences: DifferenceSettings = DEFAULTS
+    differences: DerivativeSettings = DEFAULTS
     places: dict[str, np.ndarray] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -167,7 +167,7 @@ class LinearizedWindows:
     shift: Array
     whiten: Whitener
     lost: np.ndarray
-    linearized_at: tuple[Array, Noise]
+    linearized_at: tuple[Array, WindowNoise]
     shifted: bool = False
 
     @property
@@ -269,7 +269,9 @@ class LinearizedWindows:
         return self.whiten.log_likelihood(residuals)
 
 
-def linearize(library: Library, windows: Windows, theta: Array, noise: Noise) -> LinearizedWindows:
+def linearize(
+    library: Library, windows: Windows, theta: Array, noise: WindowNoise
+) -> LinearizedWindows:
     """Simulate windows from their measured starts, and from starts shifted by sigma either way.
 
     Parameters
@@ -280,7 +282,7 @@ def linearize(library: Library, windows: Windows, theta: Array, noise: Noise) ->
         W windows of n measurements.
     theta : (m,) array
         The parameters.
-    noise : Noise
+    noise : WindowNoise
         Of the p signals.
 
     Returns
@@ -363,7 +365,7 @@ def step_lengths(library: Library, windows: Windows, loadings: Array, sigma: Arr
 
 
 def shift_linearization(
-    library: Library, linearized: LinearizedWindows, theta: Array, noise: Noise
+    library: Library, linearized: LinearizedWindows, theta: Array, noise: WindowNoise
 ) -> LinearizedWindows:
     """Simulate windows under other parameters, with the start's loadings as they are.
 
@@ -375,7 +377,7 @@ def shift_linearization(
         Where the loadings are taken from.
     theta : (m,) array
         The other parameters.
-    noise : Noise
+    noise : WindowNoise
         The other noise.
 
     Returns
@@ -395,7 +397,7 @@ def shift_linearization(
 
 
 def whitener(
-    library: Library, windows: Windows, theta: Array, noise: Noise, loadings: Array
+    library: Library, windows: Windows, theta: Array, noise: WindowNoise, loadings: Array
 ) -> Whitener:
     """Return the covariance of windows whose starts are noisy.
 
@@ -410,7 +412,7 @@ def whitener(
         W windows of n measurements.
     theta : (m,) array
         The parameters, delays among them.
-    noise : Noise
+    noise : WindowNoise
         Of the p signals.
     loadings : (W, n, 2 p + c) array
         Of the start's noise, and of the lengths of c steps.
@@ -428,15 +430,15 @@ def whitener(
 
 
 def estimate_noise(
-    linearized: LinearizedWindows, noise: Noise, floor: Array, rounds: int = 60
-) -> Noise:
+    linearized: LinearizedWindows, noise: WindowNoise, floor: Array, rounds: int = 60
+) -> WindowNoise:
     """Estimate the noise under which windows are most likely.
 
     Parameters
     ----------
     linearized : LinearizedWindows
         The windows, at their theta.
-    noise : Noise
+    noise : WindowNoise
         First guess.
     floor : (p,) array
         Lower bound of its standard deviations.
@@ -445,7 +447,7 @@ def estimate_noise(
 
     Returns
     -------
-    Noise
+    WindowNoise
     """
     good = ~linearized.lost
     loadings = linearized.loadings[good]

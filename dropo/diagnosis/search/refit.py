@@ -18,8 +18,8 @@ from dropo.diagnosis.search.linearization import (
 )
 from dropo.diagnosis.search.whitening import (
     SETTINGS,
-    Noise,
-    NoiseSettings,
+    WhitenessSettings,
+    WindowNoise,
     coloured_noise,
     uneven_steps,
 )
@@ -149,8 +149,8 @@ def other_noise(
     library: Library,
     linearized: LinearizedWindows,
     floor: Array,
-    settings: NoiseSettings = SETTINGS,
-) -> Noise | None:
+    settings: WhitenessSettings = SETTINGS,
+) -> WindowNoise | None:
     """Test whether the noise is another than white.
 
     Parameters
@@ -161,12 +161,12 @@ def other_noise(
         The windows under white noise.
     floor : (p,) array
         Lower bound of its standard deviations.
-    settings : NoiseSettings
+    settings : WhitenessSettings
         When it is another.
 
     Returns
     -------
-    Noise or None
+    WindowNoise or None
         A first guess: errors that follow each other, control steps of different lengths, or both
         if one of them does not explain as much; None where the windows ask for neither.
     """

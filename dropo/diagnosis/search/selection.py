@@ -39,7 +39,7 @@ from dropo.diagnosis.search.refit import NO_INDICES, refit, settle, with_noise
 from dropo.diagnosis.search.screening import Candidate, Screening, shortlist, with_constant
 from dropo.diagnosis.search.single_steps import absent_in_single_steps
 from dropo.diagnosis.search.trials import Batch, State, Trial, most_plausible_first
-from dropo.diagnosis.search.whitening import Noise
+from dropo.diagnosis.search.whitening import WindowNoise
 from dropo.diagnosis.search.windows import Windows
 
 STOPPING = "stopping after the figures of what was found so far"
@@ -88,7 +88,7 @@ class Selection:
     # --- the first model
 
     def begin(
-        self, train: Windows, test: Windows, theta: Array, noise: Noise, free: np.ndarray
+        self, train: Windows, test: Windows, theta: Array, noise: WindowNoise, free: np.ndarray
     ) -> State:
         """Fit the model as it is: its declared parameters and the noise.
 
@@ -98,7 +98,7 @@ class Selection:
             The windows to fit, and those held out.
         theta : (m,) array
             The first parameters, without effects.
-        noise : Noise
+        noise : WindowNoise
             A first guess.
         free : (f,) int array
             Indices of the declared parameters that are fitted.
@@ -146,7 +146,7 @@ class Selection:
         train: Windows,
         test: Windows,
         theta: Array,
-        noise: Noise,
+        noise: WindowNoise,
         free: np.ndarray,
         accepted: tuple[EffectInstance, ...],
     ) -> State:

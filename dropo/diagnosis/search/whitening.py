@@ -28,7 +28,7 @@ DEGREES = 8.0
 
 
 @dataclass(frozen=True)
-class NoiseSettings:
+class WhitenessSettings:
     """When noise is not taken to be white.
 
     Attributes
@@ -49,7 +49,7 @@ class NoiseSettings:
     least_gain: float = 10.0
 
 
-SETTINGS = NoiseSettings()
+SETTINGS = WhitenessSettings()
 LARGEST = 0.97  # of an autoregressive coefficient
 SMALLEST = 1e-300  # stands for a standard deviation of 0, which has no logarithm
 NOTHING = 20.0  # logarithm of the ratio by which a force may fall, which is to nothing
@@ -57,7 +57,7 @@ NEAR = 4.6  # logarithm of the ratio to the first guess within which the gradien
 
 
 @dataclass(frozen=True, eq=False)
-class Noise:
+class WindowNoise:
     """The noise of p signals.
 
     Attributes
@@ -85,15 +85,15 @@ class Noise:
         return bool(np.any(self.rho))
 
 
-def noise_of(numbers: Array) -> Noise:
+def noise_of(numbers: Array) -> WindowNoise:
     """Read noise from its `numbers` (2 p + 1,)."""
     p = len(numbers) // 2
-    return Noise(numbers[:p], numbers[p : 2 * p], float(numbers[-1]))
+    return WindowNoise(numbers[:p], numbers[p : 2 * p], float(numbers[-1]))
 
 
-def white(sigma: Array) -> Noise:
+def white(sigma: Array) -> WindowNoise:
     """Return noise of the standard deviations (p,) that is white in every signal."""
-    return Noise(sigma, np.zeros(len(sigma)))
+    return WindowNoise(sigma, np.zeros(len(sigma)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,13 +107,13 @@ class Whitener:
         at the start first, where noise is coloured.
     scale : (m,) array
         Standard deviations of the latent numbers.
-    noise : Noise
+    noise : WindowNoise
         Of the p signals; p divides n.
     """
 
     loadings: Array
     scale: Array
-    noise: Noise
+    noise: WindowNoise
 
     @property
     def sigma(self) -> Array:
@@ -353,8 +353,8 @@ def _windows_last(first: Array, shape: tuple[int, ...]) -> Array:
 
 
 def coloured_noise(
-    whitener: Whitener, residuals: Array, floor: Array, settings: NoiseSettings = SETTINGS
-) -> Noise | None:
+    whitener: Whitener, residuals: Array, floor: Array, settings: WhitenessSettings = SETTINGS
+) -> WindowNoise | None:
     """Test whether errors of a sensor follow each other: the score test of rho = 0.
 
     Parameters
@@ -365,12 +365,12 @@ def coloured_noise(
         Residuals.
     floor : (p,) array
         Lower bound of the noise's standard deviations.
-    settings : NoiseSettings
+    settings : WhitenessSettings
         When they do.
 
     Returns
     -------
-    Noise or None
+    WindowNoise or None
         A first guess of the noise, coloured in the signals that ask for it; None if none does.
     """
     products, squares = whitener.given(residuals).neighbours()
@@ -380,11 +380,11 @@ def coloured_noise(
     if not follow.any():
         return None
     rho = np.clip(2 * products.sum(axis=0) / squares.sum(axis=0), -LARGEST, LARGEST)
-    return Noise(whitener.sigma, np.where(follow, rho, 0.0))
+    return WindowNoise(whitener.sigma, np.where(follow, rho, 0.0))
 
 
 def uneven_steps(
-    whitener: Whitener, residuals: Array, clocks: Array, settings: NoiseSettings = SETTINGS
+    whitener: Whitener, residuals: Array, clocks: Array, settings: WhitenessSettings = SETTINGS
 ) -> bool:
     """Test whether control steps differ in length: the score test that they do not.
 
@@ -396,7 +396,7 @@ def uneven_steps(
         Residuals.
     clocks : (W, n, L) array
         Their change by each step's length.
-    settings : NoiseSettings
+    settings : WhitenessSettings
         When they do.
 
     Returns
@@ -415,7 +415,7 @@ def uneven_steps(
 def learn_noise(
     loadings: Array,
     residuals: Array,
-    noise: Noise,
+    noise: WindowNoise,
     floor: Array,
     forces: Array | None = None,
     *,
@@ -423,7 +423,7 @@ def learn_noise(
     known: Array | None = None,
     rounds: int = 60,
     tolerance: float = 1e-3,
-) -> tuple[Noise, Array]:
+) -> tuple[WindowNoise, Array]:
     """Estimate the noise, and unexplained forces, by over-relaxed expectation-maximization.
 
     The noise of the start and of all steps is the same. Where the first guess is not white, the
@@ -437,7 +437,7 @@ def learn_noise(
         in turn.
     residuals : (W, n) array
         Residuals of W windows of n / p steps.
-    noise : Noise
+    noise : WindowNoise
         First guess of the noise of p signals.
     floor : (p,) array
         Lower bound of its standard deviations.
@@ -454,7 +454,7 @@ def learn_noise(
 
     Returns
     -------
-    noise : Noise
+    noise : WindowNoise
     forces : (nv,) array
         Standard deviations of the forces.
     """
@@ -482,7 +482,7 @@ class _Learning:
     rounds: int
     tolerance: float
 
-    def white(self, sigma: Array, forces: Array) -> tuple[Noise, Array]:
+    def white(self, sigma: Array, forces: Array) -> tuple[WindowNoise, Array]:
         """White noise and the forces, from first guesses of their standard deviations."""
         for _ in range(self.rounds):
             given = self._whitener(white(sigma), forces).given(self.residuals)
@@ -497,18 +497,18 @@ class _Learning:
                 break
         return white(sigma), forces
 
-    def by_gradient(self, noise: Noise, forces: Array) -> tuple[Noise, Array]:
+    def by_gradient(self, noise: WindowNoise, forces: Array) -> tuple[WindowNoise, Array]:
         """The most likely noise and forces, from first guesses."""
         follow = noise.rho != 0
         p = len(noise.sigma)
         count, n = self.residuals.shape
         ends = (p, p + int(follow.sum()))
 
-        def unpacked(values: Array) -> tuple[Noise, Array]:
+        def unpacked(values: Array) -> tuple[WindowNoise, Array]:
             sigma, coefficients, forces = np.split(values, ends)
             rho = np.zeros(p)
             rho[follow] = coefficients
-            return Noise(np.exp(sigma), rho), np.exp(forces)
+            return WindowNoise(np.exp(sigma), rho), np.exp(forces)
 
         def loss(values: Array) -> tuple[float, Array]:
             """Less the log-likelihood, and its gradient: that expected of errors and forces."""
@@ -544,7 +544,7 @@ class _Learning:
         )
         return unpacked(found.x)
 
-    def _whitener(self, noise: Noise, forces: Array) -> Whitener:
+    def _whitener(self, noise: WindowNoise, forces: Array) -> Whitener:
         """The covariance under some noise and forces."""
         of_forces = np.tile(forces, self.pieces)
         numbers = self.starts * len(noise.sigma) + len(of_forces)

@@ -18,7 +18,7 @@ from dropo.estimators.support.point_estimate import estimate, misfit
 
 
 @dataclass(frozen=True)
-class NoiseSettings:
+class EpsilonSettings:
     """What limits the variances of the noise.
 
     Attributes
@@ -37,7 +37,7 @@ class NoiseSettings:
     rounding: float = 1e-10
 
 
-DEFAULTS = NoiseSettings()
+DEFAULTS = EpsilonSettings()
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,7 @@ def noise_scale(problem: Problem, run: Run) -> Array:
     return np.where(constant, misfit(problem, run), variance)
 
 
-def noise_shape(problem: Problem, run: Run, settings: NoiseSettings = DEFAULTS) -> Array:
+def noise_shape(problem: Problem, run: Run, settings: EpsilonSettings = DEFAULTS) -> Array:
     """Find the variances that one learned factor multiplies.
 
     Parameters
@@ -169,7 +169,7 @@ def noise_shape(problem: Problem, run: Run, settings: NoiseSettings = DEFAULTS) 
     problem : Problem
     run : Run
         Counts the simulations.
-    settings : NoiseSettings
+    settings : EpsilonSettings
 
     Returns
     -------
@@ -195,7 +195,7 @@ def tune(
     threshold: float | None,
     problem: Problem,
     run: Run,
-    settings: NoiseSettings = DEFAULTS,
+    settings: EpsilonSettings = DEFAULTS,
 ) -> Fit:
     """Choose the smallest noise variance of a sweep whose fit has an acceptable error.
 
@@ -210,7 +210,7 @@ def tune(
     problem : Problem
     run : Run
         Its progress is shown over the whole sweep.
-    settings : NoiseSettings
+    settings : EpsilonSettings
 
     Returns
     -------

@@ -86,7 +86,7 @@ class FilteredStates:
 
 
 @dataclass(frozen=True, eq=False)
-class _Linearization:
+class _LinearizedPredictions:
     """Predictions (R, p) with Jacobians in the start (R, p, p) and in the parameters (R, p, d)."""
 
     predicted: Array
@@ -221,7 +221,7 @@ def _state_steps(segments: Segments, epsilon: Array, settings: FilterSettings) -
 
 def _linearize(
     simulator: Simulator, segments: Segments, value: Array, offsets: Array, step: Array
-) -> _Linearization:
+) -> _LinearizedPredictions:
     """Predict from moved starts, with both Jacobians from one batch."""
     d = len(value)
     p = len(step)
@@ -237,7 +237,7 @@ def _linearize(
         failures = describe_failures(predictions, design, simulator.space)
         raise SimulationFailed(f"In the filter, {failures} Use starts='measured'.")
     widths = np.diagonal(design[1 : 1 + d] - design[1 + d : 1 + 2 * d])
-    return _Linearization(
+    return _LinearizedPredictions(
         predictions[0],
         difference_quotients(predictions[2 * d :], 2 * step),
         difference_quotients(predictions[: 1 + 2 * d], widths),
@@ -248,7 +248,7 @@ def _filter(
     each: Segments,
     value: Array,
     offsets: Array,
-    linear: _Linearization,
+    linear: _LinearizedPredictions,
     spread: Array,
     epsilon: Array,
     settings: FilterSettings,

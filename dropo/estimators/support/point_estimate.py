@@ -11,7 +11,7 @@ from dropo.core.contracts.support.mean_prior import MeanPrior
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.services.errors import SimulationFailed
 from dropo.core.services.validation import Array, float_array
-from dropo.estimators.support.standard_errors import DIFFERENCES, DifferenceSettings
+from dropo.estimators.support.standard_errors import DIFFERENCES, JacobianStepSettings
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ def estimate(
     budget: int = 100,
     step: float | None = None,
     start: Array | None = None,
-    settings: DifferenceSettings = DIFFERENCES,
+    settings: JacobianStepSettings = DIFFERENCES,
     prior: MeanPrior | None = None,
 ) -> PointEstimate:
     """Estimate the parameters by least squares in two passes.
@@ -91,7 +91,7 @@ def estimate(
         As those of `LeastSquares`.
     start : (d,) array, optional
         Where the first pass begins; the middle of the box if None.
-    settings : DifferenceSettings
+    settings : JacobianStepSettings
         Limits of the steps that are not given.
     prior : MeanPrior, optional
         Of the parameters. One that is not normal takes further passes.
@@ -164,7 +164,7 @@ def _first_variances(problem: Problem, run: Run, weights: str | tuple[float, ...
 
 
 def plain_errors(
-    found: PointEstimate, width: Array, settings: DifferenceSettings = DIFFERENCES
+    found: PointEstimate, width: Array, settings: JacobianStepSettings = DIFFERENCES
 ) -> Array:
     """Find the standard errors of a point estimate if the noise is independent.
 
@@ -173,7 +173,7 @@ def plain_errors(
     found : PointEstimate
     width : (d,) array
         Of the parameters' intervals.
-    settings : DifferenceSettings
+    settings : JacobianStepSettings
 
     Returns
     -------
@@ -219,7 +219,7 @@ def misfit(problem: Problem, run: Run) -> Array:
     return np.maximum(np.nanmean(errors**2, axis=0), lowest)
 
 
-class _Residuals:
+class _WeightedResiduals:
     """Weighted residuals and their Jacobian over the unit box, both from one linearization."""
 
     def __init__(
@@ -292,7 +292,7 @@ def _solve(
     space = problem.space
     width = space.high - space.low
     before = run.evaluations
-    function = _Residuals(problem, run, variances, budget, step, prior)
+    function = _WeightedResiduals(problem, run, variances, budget, step, prior)
     ends = within or space
     low = (ends.low - space.low) / width
     high = (ends.high - space.low) / width

@@ -13,7 +13,7 @@ from dropo.core.records.parameters import ParameterSpace
 from dropo.core.services.validation import Array
 
 
-class Target(Protocol):
+class BatchedLogLikelihood(Protocol):
     """A log-likelihood of many phi (m,) at once.
 
     Attributes
@@ -253,13 +253,13 @@ class LogPosterior:
 
     Parameters
     ----------
-    target : Target
+    target : BatchedLogLikelihood
         The log-likelihood.
     prior : LogPrior
         A density over the unit box.
     """
 
-    def __init__(self, target: Target, prior: LogPrior):
+    def __init__(self, target: BatchedLogLikelihood, prior: LogPrior):
         self.target = target
         self.prior = prior
 
@@ -301,12 +301,12 @@ class SmoothLogPosterior(LogPosterior):
         return values + self.prior(phi), gradients + self.prior.gradient(phi)
 
 
-def log_posterior(target: Target, prior: LogPrior) -> LogPosterior:
+def log_posterior(target: BatchedLogLikelihood, prior: LogPrior) -> LogPosterior:
     """Add a prior to a log-likelihood, with gradients if the likelihood has them.
 
     Parameters
     ----------
-    target : Target
+    target : BatchedLogLikelihood
     prior : LogPrior
 
     Returns

@@ -47,7 +47,7 @@ DEFAULTS = HorizonSettings()
 
 
 @dataclass(frozen=True)
-class Candidate:
+class TriedHorizon:
     """A horizon that was tried.
 
     Attributes
@@ -128,7 +128,7 @@ class ChooseHorizon(Estimator):
         parts = len(horizons) + 1
         seed = int(run.rng.integers(2**63))
 
-        candidates: list[Candidate] = []
+        candidates: list[TriedHorizon] = []
         for i, horizon in enumerate(horizons):
             part = training.using(horizon=horizon)
             fit = self._fit_part(part, run, seed, i / parts, f"lambda {horizon}")
@@ -140,7 +140,7 @@ class ChooseHorizon(Estimator):
                 return replace(fit, warnings=(*fit.warnings, note))
             with run.counting(evaluations=2 * len(horizons)):
                 scores = held_out_scores(training, unseen, fit, horizons, self.settings)
-            candidates.append(Candidate(horizon, fit, scores))
+            candidates.append(TriedHorizon(horizon, fit, scores))
 
         best, choice = choose(candidates)
         whole = problem.using(horizon=best.horizon)
@@ -253,16 +253,16 @@ def held_out_scores(
     return scores
 
 
-def choose(candidates: Sequence[Candidate]) -> tuple[Candidate, HorizonChoice]:
+def choose(candidates: Sequence[TriedHorizon]) -> tuple[TriedHorizon, HorizonChoice]:
     """Choose among horizons: the most precise one whose score is as good as the best.
 
     Parameters
     ----------
-    candidates : sequence of Candidate
+    candidates : sequence of TriedHorizon
 
     Returns
     -------
-    chosen : Candidate
+    chosen : TriedHorizon
     choice : HorizonChoice
         The table of all.
     """
@@ -299,7 +299,7 @@ def choose(candidates: Sequence[Candidate]) -> tuple[Candidate, HorizonChoice]:
     return chosen, HorizonChoice(tuple(trials))
 
 
-def _log_errors(candidate: Candidate) -> float:
+def _log_errors(candidate: TriedHorizon) -> float:
     """The logarithm of the product of a fit's standard errors."""
     errors = np.nan_to_num(candidate.fit.mean_se, nan=np.inf, posinf=np.inf)
     return float(np.sum(np.log(errors)))

@@ -19,7 +19,7 @@ from dropo.core.services.validation import Array
 
 
 @dataclass(frozen=True)
-class DifferenceSettings:
+class JacobianStepSettings:
     """The steps of differences, as fractions of a parameter's search interval.
 
     Attributes
@@ -41,7 +41,7 @@ class DifferenceSettings:
     edge: float = 1e-6
 
 
-DIFFERENCES = DifferenceSettings()
+DIFFERENCES = JacobianStepSettings()
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ def standard_errors(
     sd: Array,
     correlation: Array,
     noise: Array,
-    settings: DifferenceSettings = DIFFERENCES,
+    settings: JacobianStepSettings = DIFFERENCES,
     prior: MeanPrior | None = None,
 ) -> StandardErrors:
     """Find the standard errors by the linear-Gaussian model around the means.
@@ -110,7 +110,7 @@ def standard_errors(
         Of the distribution.
     noise : (p,) array
         The noise variances that the estimate took for its weights; 0: what the mean leaves.
-    settings : DifferenceSettings
+    settings : JacobianStepSettings
         The first differences are over the largest step, the second over one standard error as the
         first give it, within both steps.
     prior : MeanPrior, optional
@@ -135,7 +135,7 @@ def _errors_with_step(
     correlation: Array,
     noise: Array,
     step: Array,
-    settings: DifferenceSettings,
+    settings: JacobianStepSettings,
     prior: MeanPrior | None,
 ) -> StandardErrors:
     """The standard errors with sensitivities over steps (d,)."""
@@ -177,7 +177,7 @@ def local_standard_errors(
     family: Family,
     objective: LocalLogLikelihood,
     phi: Array,
-    settings: DifferenceSettings = DIFFERENCES,
+    settings: JacobianStepSettings = DIFFERENCES,
     prior: MeanPrior | None = None,
     memory: MemorySettings = MEMORY,
 ) -> StandardErrors:
@@ -191,7 +191,7 @@ def local_standard_errors(
         Built around its maximum.
     phi : (m,) array
         That maximum; unknowns of the family on a bound are held fixed.
-    settings : DifferenceSettings
+    settings : JacobianStepSettings
     prior : MeanPrior, optional
         Of the means, where the maximum is that with a prior.
     memory : MemorySettings
@@ -286,7 +286,7 @@ def _at_least(covariance: Array, least: Array) -> Array:
 
 
 def _correlation_errors(
-    family: Family, phi: Array, covariance: Array, settings: DifferenceSettings
+    family: Family, phi: Array, covariance: Array, settings: JacobianStepSettings
 ) -> Array | None:
     """(d, d) standard errors of the correlations, to first order in the partial ones."""
     names = family.unknowns.names
@@ -309,7 +309,7 @@ def local_jacobian(
     objective: LocalLogLikelihood,
     mean: Array,
     problem: Problem,
-    settings: DifferenceSettings = DIFFERENCES,
+    settings: JacobianStepSettings = DIFFERENCES,
     memory: MemorySettings = MEMORY,
 ) -> KeptRows:
     """Differentiate a local model at the mean, block by block.
@@ -320,7 +320,7 @@ def local_jacobian(
     mean : (d,) array
     problem : Problem
         Of its rows and parameters.
-    settings : DifferenceSettings
+    settings : JacobianStepSettings
     memory : MemorySettings
         What of it the result may take, beyond which it is kept in a file.
 

@@ -43,7 +43,7 @@ class CannotHold(DropoError):
 
 
 @dataclass(frozen=True)
-class Number:
+class DrawnNumber:
     """A number of the model that follows one drawn parameter in proportion.
 
     Attributes
@@ -240,9 +240,9 @@ class Subject:
         return mean, np.sqrt(spread + distribution.error**2)
 
     @cached_property
-    def probed(self) -> tuple[list[Number], list[str]]:
+    def probed(self) -> tuple[list[DrawnNumber], list[str]]:
         """The numbers that follow drawn parameters in proportion, and the parameters of others."""
-        found: list[Number] = []
+        found: list[DrawnNumber] = []
         others: list[str] = []
         for name in self._distribution.names:
             numbers = self._probe(name)
@@ -252,7 +252,7 @@ class Subject:
                 others.append(name)
         return found, others
 
-    def _probe(self, name: str) -> list[Number]:
+    def _probe(self, name: str) -> list[DrawnNumber]:
         """The numbers that follow one parameter; none where they do so otherwise."""
         column = self.simulator.space.names.index(name)
         parameter = self.simulator.space[column]
@@ -275,7 +275,7 @@ class Subject:
                     row = (place[0] - first_row(self.model, key, place[0]), *place[1:])
                 slope = float(change[place] / (ends[1] - ends[0]))
                 mean = float(array_of(self.model, key)[place])
-                found.append(Number(name, key, place, owner, row, mean, slope))
+                found.append(DrawnNumber(name, key, place, owner, row, mean, slope))
         return found
 
     def _fields(self, column: int) -> list[str]:

@@ -26,7 +26,7 @@ from dropo.likelihoods.support.axial import Axial, along_starts
 
 
 @dataclass(frozen=True, eq=False)
-class Columns:
+class MomentJacobian:
     """Slopes of the moments of r rows in m unknowns, as sums over columns.
 
     Attributes
@@ -46,7 +46,7 @@ class Columns:
     b: Array
     by_spread: Array
 
-    def whitened(self, whiten: Array) -> "Columns":
+    def whitened(self, whiten: Array) -> "MomentJacobian":
         """Return the same in coordinates in which the rows' covariance Sigma = L L' is 1.
 
         Parameters
@@ -56,24 +56,24 @@ class Columns:
 
         Returns
         -------
-        Columns
+        MomentJacobian
             With a and b one object where they were one.
         """
         a = whiten @ self.a
         b = a if self.b is self.a else whiten @ self.b
-        return Columns(whiten @ self.mean, self.by_mean, a, b, self.by_spread)
+        return MomentJacobian(whiten @ self.mean, self.by_mean, a, b, self.by_spread)
 
-    def beside(self, other: "Columns") -> "Columns":
+    def beside(self, other: "MomentJacobian") -> "MomentJacobian":
         """Return the slopes in the unknowns of both.
 
         Parameters
         ----------
-        other : Columns
+        other : MomentJacobian
             Slopes of the same r rows in m' other unknowns.
 
         Returns
         -------
-        Columns
+        MomentJacobian
             In m + m' unknowns, those of the other behind.
         """
         a = np.concatenate([self.a, other.a], axis=2)
@@ -82,7 +82,7 @@ class Columns:
         mean = np.concatenate([self.mean, other.mean], axis=2)
         by_mean = block_diag(self.by_mean, other.by_mean)
         by_spread = block_diag(self.by_spread, other.by_spread)
-        return Columns(mean, by_mean, a, b, by_spread)
+        return MomentJacobian(mean, by_mean, a, b, by_spread)
 
     def whole(self) -> tuple[Array, Array]:
         """Return d mean (m, r, p) and d Sigma (m, r, p, p), if a and b are equal."""
@@ -118,14 +118,14 @@ class Parts:
     by_spread: Array
 
 
-def parts_of_columns(z: Array, columns: Columns) -> Parts:
+def parts_of_columns(z: Array, columns: MomentJacobian) -> Parts:
     """Find the parts from whitened columns, without a matrix (p, p) for any unknown.
 
     Parameters
     ----------
     z : (r, p) array
         Whitened residuals.
-    columns : Columns
+    columns : MomentJacobian
 
     Returns
     -------
@@ -275,7 +275,7 @@ class GaussianRows(LocalLogLikelihood):
 
     @abstractmethod
     def _parts(
-        self, member: Any, slopes: Any, rows: slice, whiten: Array, z: Array, noise: Columns
+        self, member: Any, slopes: Any, rows: slice, whiten: Array, z: Array, noise: MomentJacobian
     ) -> Parts:
         """The parts of the family's n unknowns, then of those of the noise (whitened columns)."""
 
@@ -463,7 +463,7 @@ class GaussianRows(LocalLogLikelihood):
         bent = weight * (1 - 2 / p * distance / (nu + distance))
         return float(np.mean(bent)) / ((nu + p) / (nu + p + 2))
 
-    def _noise_columns(self, epsilon: Array, rows: slice) -> Columns:
+    def _noise_columns(self, epsilon: Array, rows: slice) -> MomentJacobian:
         """The slopes of a block's moments in the unknowns of the noise."""
         own = self.noise.slopes()
         p = len(epsilon)
@@ -479,7 +479,7 @@ class GaussianRows(LocalLogLikelihood):
             columns += [self.starts.slope[rows], self.starts.curvature[rows]]
             weights += [own, own * epsilon]
         a = np.concatenate(columns, axis=2)
-        return Columns(mean, by_mean, a, a, np.concatenate(weights, axis=1))
+        return MomentJacobian(mean, by_mean, a, a, np.concatenate(weights, axis=1))
 
 
 def trusted(family: Family, centre: Array, width: Array) -> list[Parameter]:

@@ -14,7 +14,12 @@ from dropo.core.numerics.kept_rows import MEMORY, MemorySettings, row_blocks
 from dropo.core.records.trajectories import Ints, Segments
 from dropo.core.services.validation import Array
 from dropo.likelihoods.support.axial import Axial, along_parameters
-from dropo.likelihoods.support.gaussian_rows import Columns, GaussianRows, Parts, parts_of_columns
+from dropo.likelihoods.support.gaussian_rows import (
+    GaussianRows,
+    MomentJacobian,
+    Parts,
+    parts_of_columns,
+)
 from dropo.likelihoods.support.member_moments import coordinates, moments_of, slopes_of_moments
 
 
@@ -84,12 +89,14 @@ class LinearRows(GaussianRows):
         return mean, Entries.of(covariance)
 
     def _parts(
-        self, member: Any, slopes: Any, rows: slice, whiten: Array, z: Array, noise: Columns
+        self, member: Any, slopes: Any, rows: slice, whiten: Array, z: Array, noise: MomentJacobian
     ) -> Parts:
         by_mean, entries = slopes
         slope = whiten @ self.axial.slope[rows]
         a, b = entries.pairs(slope)
-        return parts_of_columns(z, Columns(slope, by_mean, a, b, entries.weights).beside(noise))
+        return parts_of_columns(
+            z, MomentJacobian(slope, by_mean, a, b, entries.weights).beside(noise)
+        )
 
 
 @dataclass(frozen=True, eq=False)

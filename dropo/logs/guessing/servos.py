@@ -67,11 +67,11 @@ def estimate_drives(
     at least 0: first numbers for a fit, not results.
     """
     run = clean_run(runs[0], robot)
-    motion = _Motion(run, robot, settings)
+    motion = _ServoMotion(run, robot, settings)
     return {joint: motion.estimate(joint, drive) for joint, drive in drives.items()}
 
 
-class _Motion:
+class _ServoMotion:
     """Positions, velocities and accelerations of a run, and the forces that they need."""
 
     def __init__(self, run: LogRun, robot: ModelJoints, settings: DriveSettings):

@@ -124,7 +124,7 @@ def _measured_states(trajectories: Trajectories) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class _Linearization:
+class _LinearizedTransitions:
     """Every transition as x' = predicted + jacobian (x - at).
 
     Attributes
@@ -166,7 +166,7 @@ class StateSpaceModel:
     measured: NDArray[np.bool_]
     settings: SmootherSettings
 
-    def linearize(self, states: Array, noise: Array) -> _Linearization:
+    def linearize(self, states: Array, noise: Array) -> _LinearizedTransitions:
         """Linearize every transition around its first state.
 
         Parameters
@@ -179,7 +179,7 @@ class StateSpaceModel:
 
         Returns
         -------
-        _Linearization
+        _LinearizedTransitions
 
         Raises
         ------
@@ -192,7 +192,7 @@ class StateSpaceModel:
             predicted, jacobian = self.simulator.linearize_starts(self.value, segments, step=step)
         except SimulationFailed as error:
             raise SimulationFailed(f"While states were estimated, {error}") from None
-        return _Linearization(states, predicted, jacobian)
+        return _LinearizedTransitions(states, predicted, jacobian)
 
     def _difference_steps(self, states: Array, noise: Array) -> Array:
         """(p,) half widths: the noise's standard deviation, within bounds.
@@ -327,7 +327,7 @@ class _Smoothed:
 
 
 def _filter(
-    model: StateSpaceModel, linear: _Linearization, noise: Array, process: Array
+    model: StateSpaceModel, linear: _LinearizedTransitions, noise: Array, process: Array
 ) -> _Filtered:
     """The Kalman filter over every trajectory."""
     data = model.trajectories
@@ -365,7 +365,7 @@ def _filter(
 
 
 def _smooth(
-    model: StateSpaceModel, linear: _Linearization, noise: Array, process: Array
+    model: StateSpaceModel, linear: _LinearizedTransitions, noise: Array, process: Array
 ) -> _Smoothed:
     """The filter forwards and the smoother backwards over every trajectory."""
     data = model.trajectories
@@ -475,7 +475,7 @@ def _expected_noise(measured: Array, smoothed: _Smoothed) -> Array:
 
 
 def _expected_process(
-    trajectories: Trajectories, linear: _Linearization, smoothed: _Smoothed
+    trajectories: Trajectories, linear: _LinearizedTransitions, smoothed: _Smoothed
 ) -> Array:
     """(p, p) expected outer product of what the linear model misses in a step."""
     before = places_before(trajectories)

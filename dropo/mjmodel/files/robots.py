@@ -25,7 +25,7 @@ LONGEST_STEP = 0.002
 
 
 @dataclass(frozen=True)
-class Robot:
+class RobotFile:
     """Where a robot's model is.
 
     Attributes
@@ -68,7 +68,7 @@ class DriveGuess:
         return "motor"
 
 
-def find_robot(robot: str | Path) -> Robot:
+def find_robot(robot: str | Path) -> RobotFile:
     """Find the model of a robot.
 
     Parameters
@@ -78,7 +78,7 @@ def find_robot(robot: str | Path) -> Robot:
 
     Returns
     -------
-    Robot
+    RobotFile
 
     Raises
     ------
@@ -91,7 +91,7 @@ def find_robot(robot: str | Path) -> Robot:
     """
     place = Path(robot)
     if place.is_file():
-        return Robot(*_read_root(place))
+        return RobotFile(*_read_root(place))
     text = str(robot)
     if place.suffix in (".xml", ".urdf", ".mjcf") or os.sep in text or place.is_dir():
         got = "a folder" if place.is_dir() else "no such file"
@@ -110,7 +110,7 @@ def _read_root(place: Path) -> tuple[str, Path, bool]:
     return named[1] if named else place.stem, place, root[1] == "robot"
 
 
-def _described(name: str) -> Robot:
+def _described(name: str) -> RobotFile:
     """The description of that name, which its package may fetch."""
     try:
         listed: Any = importlib.import_module(f"{DESCRIPTIONS}._descriptions").DESCRIPTIONS
@@ -131,16 +131,16 @@ def _described(name: str) -> Robot:
     for attribute, is_urdf in (("MJCF_PATH", False), ("URDF_PATH", True)):
         path = getattr(module, attribute, None)
         if path is not None:
-            return Robot(name, Path(path), is_urdf)
+            return RobotFile(name, Path(path), is_urdf)
     raise BadFile(found, "", "a description as MJCF or URDF", "another")
 
 
-def load_spec(robot: Robot) -> tuple[mujoco.MjSpec, list[str]]:
+def load_spec(robot: RobotFile) -> tuple[mujoco.MjSpec, list[str]]:
     """Load a robot for editing; meshes of a URDF that are not there are left out.
 
     Parameters
     ----------
-    robot : Robot
+    robot : RobotFile
         Where its model is.
 
     Returns

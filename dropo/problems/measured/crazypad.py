@@ -16,7 +16,7 @@ from dropo.logs.grids import held_means
 from dropo.logs.signals.resampling import resample
 from dropo.logs.signals.stamps import increasing
 from dropo.mjmodel.joints import model_joints
-from dropo.problems.measured.recordings import Channels, Runs, find_runs
+from dropo.problems.measured.recordings import Channels, RecordedRuns, find_runs
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 FRAME_SKIP = 10  # physics steps of 1 ms: 10 ms, a row of the log
@@ -111,12 +111,12 @@ def crazypad(threads: int = 0) -> Problem:
     return crazypad_problem(runs, threads)
 
 
-def crazypad_problem(runs: Runs, threads: int = 0) -> Problem:
+def crazypad_problem(runs: RecordedRuns, threads: int = 0) -> Problem:
     """The problem of some of the flights.
 
     Parameters
     ----------
-    runs : Runs
+    runs : RecordedRuns
         With `time`, `pos` and either `motor` or `cmd`.
     threads : int
         Threads of the simulator; 0 for all cores.

@@ -13,7 +13,7 @@ from dropo.core.contracts.problem import Problem
 from dropo.logs.signals.resampling import resample
 from dropo.mjmodel.fields import FieldParameter
 from dropo.mjmodel.joints import model_joints
-from dropo.problems.measured.recordings import Channels, Runs, find_runs, measured
+from dropo.problems.measured.recordings import Channels, RecordedRuns, find_runs, measured
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 HORIZON = 15  # control steps of 1/148 s: 101 ms
@@ -55,7 +55,7 @@ def cube_toss(threads: int = 0) -> Problem:
         cube_spec(model), PARAMETERS, observation=["qpos", "qvel"], frame_skip=4, threads=threads
     )
     lag = model_joints(simulator.model).velocity_lag
-    tosses = Runs(runs.names, tuple(toss(channels, lag) for channels in runs.channels))
+    tosses = RecordedRuns(runs.names, tuple(toss(channels, lag) for channels in runs.channels))
     whole = measured("cube-toss", simulator, tosses, HORIZON)
     first = whole.trajectories.select(np.arange(FIRST))
     return replace(whole, trajectories=first, everything=whole.trajectories, settings=SETTINGS)

@@ -47,7 +47,7 @@ DEFAULT = RecordingSettings()
 
 
 @dataclass(frozen=True, eq=False)
-class Runs:
+class RecordedRuns:
     """Runs of one machine, in the order of the archive.
 
     Attributes
@@ -61,7 +61,7 @@ class Runs:
     names: tuple[str, ...]
     channels: tuple[Channels, ...]
 
-    def named(self, beginning: str) -> "Runs":
+    def named(self, beginning: str) -> "RecordedRuns":
         """Select the runs whose names begin alike.
 
         Parameters
@@ -71,14 +71,16 @@ class Runs:
 
         Returns
         -------
-        Runs
+        RecordedRuns
             In the same order; empty where there are none.
         """
         chosen = [i for i, name in enumerate(self.names) if name.startswith(beginning)]
-        return Runs(tuple(self.names[i] for i in chosen), tuple(self.channels[i] for i in chosen))
+        return RecordedRuns(
+            tuple(self.names[i] for i in chosen), tuple(self.channels[i] for i in chosen)
+        )
 
 
-def find_runs(folder: str, model: str, source: str) -> tuple[Runs, Path]:
+def find_runs(folder: str, model: str, source: str) -> tuple[RecordedRuns, Path]:
     """Read the runs of a machine among the external data.
 
     Parameters
@@ -92,7 +94,7 @@ def find_runs(folder: str, model: str, source: str) -> tuple[Runs, Path]:
 
     Returns
     -------
-    runs : Runs
+    runs : RecordedRuns
         The runs.
     model : Path
         Path of the model.
@@ -110,7 +112,7 @@ def find_runs(folder: str, model: str, source: str) -> tuple[Runs, Path]:
     if model_path is None:
         raise missing(names[1], source)
     log = RunsLog(archive)
-    return Runs(tuple(log.names), tuple(log.runs)), model_path
+    return RecordedRuns(tuple(log.names), tuple(log.runs)), model_path
 
 
 def gridded(
@@ -212,7 +214,7 @@ def trajectories(
 def measured(
     name: str,
     simulator: MujocoSimulator,
-    runs: Runs,
+    runs: RecordedRuns,
     horizon: int,
     command: str | None = None,
     settings: RecordingSettings = DEFAULT,
@@ -225,7 +227,7 @@ def measured(
         Name of the problem.
     simulator : MujocoSimulator
         Observes positions and velocities.
-    runs : Runs
+    runs : RecordedRuns
         The runs.
     horizon : int
         Control steps of a segment.

@@ -16,8 +16,8 @@ from dropo.mjmodel.names import joint_names
 from dropo.problems.measured.recordings import (
     DEFAULT,
     Channels,
+    RecordedRuns,
     RecordingSettings,
-    Runs,
     find_runs,
     measured,
 )
@@ -58,7 +58,9 @@ def so101(threads: int = 0) -> Problem:
     spec = mujoco.MjSpec.from_file(str(model))
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     channels = tuple(_angles(run) for run in runs.channels)
-    return _problem("so101", spec, Runs(runs.names, channels), ARM_SKIP, ARM_HORIZON, threads)
+    return _problem(
+        "so101", spec, RecordedRuns(runs.names, channels), ARM_SKIP, ARM_HORIZON, threads
+    )
 
 
 def go2(threads: int = 0) -> Problem:
@@ -88,7 +90,9 @@ def go2(threads: int = 0) -> Problem:
     parts = tuple({name: values[part] for name, values in run.items()} for part in (first, ~first))
     settings = replace(DEFAULT, held_out_every=2)
     names = ("first", "last")
-    return _problem("go2", spec, Runs(names, parts), LEGS_SKIP, LEGS_HORIZON, threads, settings)
+    return _problem(
+        "go2", spec, RecordedRuns(names, parts), LEGS_SKIP, LEGS_HORIZON, threads, settings
+    )
 
 
 def _angles(run: Channels) -> dict[str, Array]:
@@ -103,7 +107,7 @@ def _angles(run: Channels) -> dict[str, Array]:
 def _problem(
     name: str,
     spec: mujoco.MjSpec,
-    runs: Runs,
+    runs: RecordedRuns,
     frame_skip: int,
     horizon: int,
     threads: int,

@@ -10,7 +10,7 @@ from dropo.core.contracts.problem import Problem
 from dropo.logs.signals.stamps import increasing
 from dropo.logs.signals.velocities import estimate_velocities
 from dropo.mjmodel.fields import FieldParameter
-from dropo.problems.measured.recordings import Channels, Runs, find_runs, measured
+from dropo.problems.measured.recordings import Channels, RecordedRuns, find_runs, measured
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 TIMESTEP = 1e-2
@@ -54,7 +54,7 @@ def simple_pendulum(threads: int = 0, input: str = "current") -> Problem:
     simulator = MujocoSimulator(
         spec, PARAMETERS, observation=["qpos", "qvel"], frame_skip=FRAME_SKIP, threads=threads
     )
-    smoothed = Runs(runs.names, tuple(_smoothed(channels) for channels in runs.channels))
+    smoothed = RecordedRuns(runs.names, tuple(_smoothed(channels) for channels in runs.channels))
     return measured("simple-pendulum", simulator, smoothed, HORIZON, COMMANDS[input])
 
 

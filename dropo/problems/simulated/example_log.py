@@ -42,7 +42,7 @@ JOINTS = ("shoulder", "elbow")
 
 
 @dataclass(frozen=True)
-class Machine:
+class ExampleMachine:
     """The machine behind the logs, and how it is logged.
 
     Attributes
@@ -67,11 +67,11 @@ class Machine:
     ticks: int = 16384
 
 
-MACHINE = Machine()
+MACHINE = ExampleMachine()
 
 
 def write_example(
-    folder: str | Path, runs: int = 3, seed: int = 0, machine: Machine = MACHINE
+    folder: str | Path, runs: int = 3, seed: int = 0, machine: ExampleMachine = MACHINE
 ) -> list[Path]:
     """Write the model and logs of the example.
 
@@ -101,7 +101,7 @@ def write_example(
     return paths
 
 
-def _commands(rng: np.random.Generator, machine: Machine) -> Array:
+def _commands(rng: np.random.Generator, machine: ExampleMachine) -> Array:
     """Smooth targets (n, 2) [rad] that begin at 0: sums of sines, and steps."""
     time = np.arange(machine.rows) / machine.rate
     columns = []
@@ -115,7 +115,7 @@ def _commands(rng: np.random.Generator, machine: Machine) -> Array:
     return np.stack(columns, axis=1)
 
 
-def _format_log(commands: Array, machine: Machine) -> str:
+def _format_log(commands: Array, machine: ExampleMachine) -> str:
     """The log of a run as CSV."""
     step = 360 / machine.ticks
     angles = np.rint(np.degrees(_angles(commands, machine)) / step) * step
@@ -126,7 +126,7 @@ def _format_log(commands: Array, machine: Machine) -> str:
     return "\n".join([HEADER, *lines]) + "\n"
 
 
-def _angles(commands: Array, machine: Machine) -> Array:
+def _angles(commands: Array, machine: ExampleMachine) -> Array:
     """The joints' angles (n, 2) [rad] when each row was logged, from rest."""
     spec = mujoco.MjSpec.from_string(MODEL)
     skip = round(machine.finer / (machine.rate * spec.option.timestep))

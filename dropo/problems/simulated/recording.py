@@ -74,7 +74,7 @@ def record(
     """
     count, p = starts.shape
     noise_rng, controller_rng = rng.spawn(2)
-    motion = _Motion(simulator, effects, values)
+    motion = _TrueMotion(simulator, effects, values)
     sensors = _Sensors(simulator, effects, values)
     # True states, measurements and commands of all trajectories; NaN behind a trajectory's end.
     states = np.empty((count, steps + 1, p))
@@ -130,7 +130,7 @@ def _trajectories(measured: Array, commands: Array, lengths: Ints) -> Trajectori
     )
 
 
-class _Motion:
+class _TrueMotion:
     """The robot's true motion: with the effects that act on it, without those of its sensors."""
 
     def __init__(self, simulator: MujocoSimulator, effects: ActiveEffects, values: Array):

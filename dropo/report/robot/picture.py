@@ -14,7 +14,7 @@ from dropo.core.services.errors import InvalidInput
 from dropo.core.services.validation import Array
 from dropo.diagnosis.parts import Cause, effect_in_words
 from dropo.mjmodel.appearance import (
-    Shape,
+    GeomOutline,
     element_places,
     part_places,
     part_sizes,
@@ -108,7 +108,7 @@ def _simulator(path: Path, written: int) -> "RobotSimulator | None":
     return found if isinstance(found, RobotSimulator) else None
 
 
-def _area(camera: Camera, parts: list[Shape]) -> float:
+def _area(camera: Camera, parts: list[GeomOutline]) -> float:
     """How much of the picture the moving parts of a robot span."""
     moving = [part.points for part in parts if not part.ground]
     if not moving:
@@ -208,7 +208,7 @@ def _error(se: float) -> str:
 
 
 def _svg(
-    scene: Scene, parts: list[Shape], marks: list[tuple[str, Array]], image: bytes, text: str
+    scene: Scene, parts: list[GeomOutline], marks: list[tuple[str, Array]], image: bytes, text: str
 ) -> str:
     """The picture: a still or lines, then the marks."""
     drawn = _lines(scene.camera, parts)
@@ -230,7 +230,7 @@ def _svg(
     )
 
 
-def _lines(camera: Camera, parts: list[Shape]) -> str:
+def _lines(camera: Camera, parts: list[GeomOutline]) -> str:
     """The outlines of a robot's parts, the far ones first."""
     drawn = []
     for part in parts:
@@ -278,7 +278,7 @@ def _turn(a: Array, b: Array, c: Array) -> float:
     return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
 
 
-def _filled(camera: Camera, parts: list[Shape]) -> Array:
+def _filled(camera: Camera, parts: list[GeomOutline]) -> Array:
     """Places (n, 2) all along the moving parts of a robot."""
     shares = np.linspace(0, 1, 9)[:, None, None]
     along = [np.zeros((0, 3))]

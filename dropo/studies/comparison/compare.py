@@ -18,7 +18,7 @@ from dropo.core.services.errors import BadArgument, DropoError
 from dropo.core.services.validation import Array, require
 from dropo.problems.record import problem_record
 from dropo.studies.comparison.data_sets import data_set
-from dropo.studies.comparison.summary import DEFAULT_TARGET, NAME, Fits, Target, summarized
+from dropo.studies.comparison.summary import DEFAULT_TARGET, NAME, Fits, SolvedWithin, summarized
 from dropo.studies.engine.recover import journal_of, keep_study
 from dropo.studies.engine.study import Study
 from dropo.studies.engine.variants import Variant, variant_of
@@ -31,7 +31,7 @@ def compare(
     seeds: int = 5,
     *,
     transitions: int | None = None,
-    target: Target = DEFAULT_TARGET,
+    target: SolvedWithin = DEFAULT_TARGET,
     out: str | Path | None = None,
     executor: Executor | None = None,
     threads: int = 0,
@@ -52,7 +52,7 @@ def compare(
         Data sets of each problem.
     transitions : int or None
         Use the first ones of each data set alone; None for all.
-    target : Target
+    target : SolvedWithin
         When a data set counts as solved.
     out : str, Path or None
         Folder to write into, where an interrupted comparison is resumed; None to write nothing.
@@ -97,7 +97,7 @@ def run_comparison(
     seeds: int = 5,
     *,
     transitions: int | None = None,
-    target: Target = DEFAULT_TARGET,
+    target: SolvedWithin = DEFAULT_TARGET,
     out: str | Path | None = None,
     executor: Executor | None = None,
     threads: int = 0,
@@ -115,7 +115,7 @@ def run_comparison(
         Number of data sets of each problem.
     transitions : int or None
         Number of transitions of each data set that are used; None for all.
-    target : Target
+    target : SolvedWithin
         When a data set counts as solved.
     out : str, Path or None
         Folder in which answers of finished fits are kept, so that an interrupted comparison is

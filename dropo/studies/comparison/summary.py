@@ -35,7 +35,7 @@ Fits = dict[str, dict[str, list[dict[str, Any]]]]
 
 
 @dataclass(frozen=True)
-class Target:
+class SolvedWithin:
     """When a variant has solved a data set.
 
     Attributes
@@ -51,7 +51,7 @@ class Target:
     standard_errors: float = 3.0
 
 
-DEFAULT_TARGET = Target()
+DEFAULT_TARGET = SolvedWithin()
 
 
 def summarized(
@@ -60,7 +60,7 @@ def summarized(
     variants: Sequence[Variant],
     units: Array,
     seeds: int,
-    target: Target,
+    target: SolvedWithin,
 ) -> Study:
     """Make the tables, the figure and the sentences.
 
@@ -76,7 +76,7 @@ def summarized(
         Evaluations of a simplex gradient, d + 1, on each of the n data sets, problem by problem.
     seeds : int
         Data sets of each problem.
-    target : Target
+    target : SolvedWithin
         When a data set counts as solved.
 
     Returns
@@ -123,7 +123,7 @@ def _costs(fits: Fits, labels: Sequence[str], name: str) -> Array:
     return np.where(np.isnan(costs), highest, costs)
 
 
-def _solved(fits: Fits, variants: Sequence[Variant], target: Target) -> np.ndarray:
+def _solved(fits: Fits, variants: Sequence[Variant], target: SolvedWithin) -> np.ndarray:
     """(n, k) whether a variant reached the target on a data set."""
     columns = []
     for variant in variants:
@@ -139,7 +139,9 @@ def _solved(fits: Fits, variants: Sequence[Variant], target: Target) -> np.ndarr
     return np.array(columns, dtype=bool).T
 
 
-def _reaches(row: Mapping[str, Any], reference: Mapping[str, Any], best: float, to: Target) -> bool:
+def _reaches(
+    row: Mapping[str, Any], reference: Mapping[str, Any], best: float, to: SolvedWithin
+) -> bool:
     """Whether a fit is near the best log-likelihood, and near the truth where that is known."""
     if "failed" in row or row["log_likelihood"] < best - to.nats:
         return False
@@ -172,7 +174,7 @@ def _time(expected: float, cost: str) -> str:
     return f"{expected:.2f}" if cost == "seconds" else f"{expected:,.0f}"
 
 
-def _note_on_target(target: Target) -> str:
+def _note_on_target(target: SolvedWithin) -> str:
     """When a data set is solved, and what seconds are."""
     return (
         f"Solved: no fit by the same method and likelihood is more than {target.nats:g} nat above,"

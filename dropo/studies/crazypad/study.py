@@ -12,7 +12,7 @@ import numpy as np
 
 from dropo.core.services.tables import number
 from dropo.diagnosis.reference.compare import compare_with_reference
-from dropo.diagnosis.reference.result import ComparedRun, Difference
+from dropo.diagnosis.reference.result import ComparedRun, RunDifference
 from dropo.problems.loading import load
 from dropo.problems.measured.external_data import find_data, missing
 from dropo.studies.engine.study import Study, Table
@@ -124,7 +124,7 @@ def _answer(run: ComparedRun) -> Result:
     }
 
 
-def _rotor(cause: Difference) -> str:
+def _rotor(cause: RunDifference) -> str:
     """The rotor that a cause is at; "all" of a gain of all rotors."""
     return cause.variant or cause.target or "all"
 

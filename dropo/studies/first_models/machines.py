@@ -85,7 +85,7 @@ DESIGNS = {
 
 
 @dataclass(frozen=True, eq=False)
-class Machine:
+class MissingNumbers:
     """What a machine has and its model lacks.
 
     Attributes
@@ -179,7 +179,7 @@ def first_model(design: Design) -> mujoco.MjSpec:
     return spec
 
 
-def random_machine(design: Design, rng: Generator) -> Machine:
+def random_machine(design: Design, rng: Generator) -> MissingNumbers:
     """Draw what a machine has and its model lacks, in plausible numbers.
 
     Parameters
@@ -191,14 +191,14 @@ def random_machine(design: Design, rng: Generator) -> Machine:
 
     Returns
     -------
-    Machine
+    MissingNumbers
         With numbers in proportion to the drives' gains, and a payload of half to twice the last
         body's mass.
     """
     gains = np.array(design.gains)
     n = len(gains)
     force = 1.0 if design.servos else 5.0  # motors of fewer newton metres have more friction
-    return Machine(
+    return MissingNumbers(
         armature=gains * rng.uniform(2e-4, 8e-4, n) * force,
         damping=gains * rng.uniform(0.01, 0.03, n),
         friction=gains * rng.uniform(0.004, 0.012, n) * force,
@@ -208,30 +208,30 @@ def random_machine(design: Design, rng: Generator) -> Machine:
     )
 
 
-def nothing_missing(machine: Machine) -> Machine:
+def nothing_missing(machine: MissingNumbers) -> MissingNumbers:
     """Let the commands come in time, for a model that has all the rest.
 
     Parameters
     ----------
-    machine : Machine
+    machine : MissingNumbers
         What the machine has.
 
     Returns
     -------
-    Machine
+    MissingNumbers
         The same without delay.
     """
     return replace(machine, delay=0.0)
 
 
-def built(spec: mujoco.MjSpec, machine: Machine) -> mujoco.MjSpec:
+def built(spec: mujoco.MjSpec, machine: MissingNumbers) -> mujoco.MjSpec:
     """Build the machine itself: its model with all that is missing, at a finer physics step.
 
     Parameters
     ----------
     spec : mujoco.MjSpec
         The first model, which is left as it is.
-    machine : Machine
+    machine : MissingNumbers
         What is missing; its delay is applied by `recorded`.
 
     Returns

@@ -15,7 +15,7 @@ from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.validation import Array
 from dropo.studies.first_models.machines import (
     Design,
-    Machine,
+    MissingNumbers,
     Numbers,
     built,
     first_model,
@@ -61,7 +61,7 @@ def random_design(rng: Generator) -> Design:
     )
 
 
-def random_stranger(design: Design, rng: Generator) -> Machine:
+def random_stranger(design: Design, rng: Generator) -> MissingNumbers:
     """Draw what a machine has that its model lacks.
 
     Parameters
@@ -73,13 +73,13 @@ def random_stranger(design: Design, rng: Generator) -> Machine:
 
     Returns
     -------
-    Machine
+    MissingNumbers
         With rotors and friction; for one machine in two also with a wrong gain at each drive.
     """
     gains = np.array(design.gains)
     count = len(gains)
     differ = rng.random() < 0.5
-    return Machine(
+    return MissingNumbers(
         armature=gains * rng.uniform(2e-4, 8e-4, count),
         damping=gains * rng.uniform(0.004, 0.015, count),
         friction=gains * rng.uniform(0.003, 0.008, count),

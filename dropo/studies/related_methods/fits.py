@@ -27,7 +27,7 @@ from dropo.problems.hopper.model import FRAME_SKIP
 from dropo.problems.hopper.problem import NOISE
 from dropo.studies.tiboni_2021 import hopper_fits
 from dropo.studies.tiboni_2021.hopper_sets import BLOCK, MEAN, SPREAD, data_set, every
-from dropo.studies.tiboni_2021.hopper_sets import Size as Sets
+from dropo.studies.tiboni_2021.hopper_sets import HopperStudySize as Sets
 
 OFFLINE = ("dropo", "dropo, published", "random effects", "droid", "least squares", "epopt", "npe")
 ONLINE = ("simopt", "bayrn", "adr")
@@ -43,7 +43,7 @@ SETTINGS: dict[str, dict[str, Any]] = {
 
 
 @dataclass(frozen=True)
-class Size:
+class RelatedStudySize:
     """How large the study is.
 
     Attributes
@@ -86,7 +86,7 @@ Item = dict[str, Any]
 """What a task takes: table, seed and size of the data, and more."""
 
 
-def item(table: str, seed: int, size: Size, **more: Any) -> Item:
+def item(table: str, seed: int, size: RelatedStudySize, **more: Any) -> Item:
     """The item of a task.
 
     Parameters
@@ -95,7 +95,7 @@ def item(table: str, seed: int, size: Size, **more: Any) -> Item:
         Number of the thesis' table whose masses the data have.
     seed : int
         Seed of the data.
-    size : Size
+    size : RelatedStudySize
         How large the study is.
     **more
         What else the task takes, such as `method`.
@@ -119,7 +119,7 @@ class TargetRobot:
         Number of the table.
     problem : Problem
         The problem that the methods fit.
-    size : Size
+    size : RelatedStudySize
         How large the study is.
 
     Attributes
@@ -130,7 +130,7 @@ class TargetRobot:
         The distribution of its masses.
     """
 
-    def __init__(self, table: str, problem: Problem, size: Size):
+    def __init__(self, table: str, problem: Problem, size: RelatedStudySize):
         self.problem = problem
         self.size = size
         self.spread = SPREAD[table]
@@ -257,12 +257,12 @@ class TargetRobot:
         return Answer(is_upright, steps=int(rollouts.lengths.sum()) * FRAME_SKIP)
 
 
-def _size(item: Item) -> Size:
+def _size(item: Item) -> RelatedStudySize:
     """The item's size."""
-    return Size(**item["size"])
+    return RelatedStudySize(**item["size"])
 
 
-def estimator(method: str, target: TargetRobot, size: Size) -> Estimator:
+def estimator(method: str, target: TargetRobot, size: RelatedStudySize) -> Estimator:
     """Build a method with its callbacks.
 
     Parameters
@@ -271,7 +271,7 @@ def estimator(method: str, target: TargetRobot, size: Size) -> Estimator:
         One of `METHODS`.
     target : TargetRobot
         Where interactive methods collect data and evaluate.
-    size : Size
+    size : RelatedStudySize
         Settings of the methods.
 
     Returns

@@ -10,14 +10,21 @@ import numpy as np
 from dropo.core.services.tables import number
 from dropo.studies.engine.study import Study, Table
 from dropo.studies.engine.work import Work
-from dropo.studies.related_methods.fits import ONLINE, TRUTH, Size, fitted, item, returned
+from dropo.studies.related_methods.fits import (
+    ONLINE,
+    TRUTH,
+    RelatedStudySize,
+    fitted,
+    item,
+    returned,
+)
 from dropo.studies.tiboni_2021.hopper_sets import MEAN, SPREAD
 
 TABLES = {
     "6.1": "masses that do not vary",
     "6.2": "torso mass with sd 0.5 kg, another draw every 10 transitions",
 }
-FULL = Size()
+FULL = RelatedStudySize()
 FitKey = tuple[str, str, int]
 """Table, method and seed of a fit."""
 HEADER = ("method", "simulator steps", "target transitions", "mean off [kg]", "sd off [kg]")
@@ -37,7 +44,9 @@ NOTES = (
 )
 
 
-def related_methods(work: Work, seeds: int | None = None, *, size: Size = FULL) -> Study:
+def related_methods(
+    work: Work, seeds: int | None = None, *, size: RelatedStudySize = FULL
+) -> Study:
     """DROPO, the related and the classical methods on the hopper, each with its cost.
 
     The related ones are SimOpt, BayRn, EPOpt's adaptation, neural posteriors and ADR.
@@ -48,7 +57,7 @@ def related_methods(work: Work, seeds: int | None = None, *, size: Size = FULL) 
         Runs the fits and trains the policies.
     seeds : int or None
         Number of data sets; None for that of `size`.
-    size : Size
+    size : RelatedStudySize
         How large the study is.
 
     Returns
@@ -86,7 +95,7 @@ def related_methods(work: Work, seeds: int | None = None, *, size: Size = FULL) 
     )
 
 
-def _note_on_returns(size: Size) -> str:
+def _note_on_returns(size: RelatedStudySize) -> str:
     """What the column of returns holds."""
     if not size.updates:
         return "No policies were trained, so returns and bayrn are left out."
@@ -98,7 +107,7 @@ def _note_on_returns(size: Size) -> str:
 
 
 def _returns(
-    work: Work, fits: dict[FitKey, dict[str, Any]], size: Size, count: int
+    work: Work, fits: dict[FitKey, dict[str, Any]], size: RelatedStudySize, count: int
 ) -> dict[tuple[str, str], dict[str, float]]:
     """Mean return and its standard error by table and method, and under the truth."""
     distributions: dict[FitKey, Any] = {}

@@ -17,7 +17,7 @@ from dropo.studies.tiboni_2021.hopper_fits import (
     item,
     variant_item,
 )
-from dropo.studies.tiboni_2021.hopper_sets import EPSILON, MEAN, SPREAD, THESIS, Size
+from dropo.studies.tiboni_2021.hopper_sets import EPSILON, MEAN, SPREAD, THESIS, HopperStudySize
 from dropo.studies.tiboni_2021.rows import (
     Rows,
     comparison_of,
@@ -48,7 +48,7 @@ def recovered(
     work: Work,
     seeds: int | None,
     published: bool,
-    size: Size,
+    size: HopperStudySize,
     variants: Sequence[Variant] = (),
     *,
     full: bool = False,
@@ -67,7 +67,7 @@ def recovered(
         Number of data sets; None for that of `size`.
     published : bool
         Whether the method is also run as published.
-    size : Size
+    size : HopperStudySize
         How large the study is.
     variants : sequence of Variant
         Methods with parts exchanged, which fit every data set too.
@@ -128,12 +128,12 @@ def recovered(
     return Study(name, title, tuple(tables), remarks, data)
 
 
-def reduced(size: Size) -> str:
+def reduced(size: HopperStudySize) -> str:
     """Say what "dropo, published" means in a table of that size.
 
     Parameters
     ----------
-    size : Size
+    size : HopperStudySize
         How large the study is.
 
     Returns
@@ -149,12 +149,12 @@ def reduced(size: Size) -> str:
     )
 
 
-def of_full(size: Size) -> str:
+def of_full(size: HopperStudySize) -> str:
     """Say what "dropo, as published" means in a table of that size.
 
     Parameters
     ----------
-    size : Size
+    size : HopperStudySize
         How large the study is.
 
     Returns
@@ -170,7 +170,7 @@ def of_full(size: Size) -> str:
     )
 
 
-def _distributions(table: str, kind: str, size: Size, rows: Rows) -> dict[str, Any]:
+def _distributions(table: str, kind: str, size: HopperStudySize, rows: Rows) -> dict[str, Any]:
     """The item that compares fits, the drawn sample, the truth and the thesis' own fit."""
     dropo = rows["dropo"]
     distributions = {

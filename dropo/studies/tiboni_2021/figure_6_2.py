@@ -13,7 +13,15 @@ from dropo.studies.engine.study import Study, Table
 from dropo.studies.engine.variants import Variant
 from dropo.studies.engine.work import Work
 from dropo.studies.tiboni_2021.hopper_fits import fitted, item, variant_item
-from dropo.studies.tiboni_2021.hopper_sets import EPSILON, FULL, MASSES, MEAN, SPREAD, THESIS, Size
+from dropo.studies.tiboni_2021.hopper_sets import (
+    EPSILON,
+    FULL,
+    MASSES,
+    MEAN,
+    SPREAD,
+    THESIS,
+    HopperStudySize,
+)
 
 PANELS = (("6.2", 0), ("6.3", 1), ("6.3", 2), ("6.3", 3))
 """The data set's table and the mass of each panel: (a) the torso, (b) the other three."""
@@ -34,7 +42,7 @@ def figure_6_2(
     seeds: int | None = None,
     *,
     variants: Sequence[Variant] = (),
-    size: Size = FULL,
+    size: HopperStudySize = FULL,
 ) -> Study:
     """Fitted distributions of the masses that vary, beside the true ones (figure 6.2).
 
@@ -46,7 +54,7 @@ def figure_6_2(
         None or 1, as the figure shows one data set.
     variants : sequence of Variant
         Methods with parts exchanged, in the tables beside the others.
-    size : Size
+    size : HopperStudySize
         How large the study is.
 
     Returns

@@ -75,7 +75,7 @@ Distributions = Sequence[dict[str, Any]]
 
 
 @dataclass(frozen=True)
-class Size:
+class ReturnStudySize:
     """How large the study is.
 
     Attributes
@@ -118,7 +118,7 @@ class ComparisonSettings:
     tolerance: float = 0.002
 
 
-FULL = Size()
+FULL = ReturnStudySize()
 DEFAULT = ComparisonSettings()
 
 
@@ -126,7 +126,7 @@ def figure_6_3(
     work: Work,
     seeds: int | None = None,
     *,
-    size: Size = FULL,
+    size: ReturnStudySize = FULL,
     settings: ComparisonSettings = DEFAULT,
 ) -> Study:
     """Returns on the target of policies trained with a torso 1 kg too light (figure 6.3).
@@ -140,7 +140,7 @@ def figure_6_3(
         Runs the fits and trains the policies.
     seeds : int or None
         Number of training seeds; None for that of `size`.
-    size : Size
+    size : ReturnStudySize
         How large the study is.
     settings : ComparisonSettings
         When a claim is decided, and when two distributions are one.
@@ -189,7 +189,7 @@ def figure_6_3(
     )
 
 
-def _distribution_items(size: Size, data: str) -> list[dict[str, Any]]:
+def _distribution_items(size: ReturnStudySize, data: str) -> list[dict[str, Any]]:
     """What `found` takes for each distribution, and for each of the uniform bounds."""
     fit = {"data": data, "transitions": size.transitions, "droid": size.droid}
     items = []
@@ -243,7 +243,7 @@ def by_distribution(runs: Sequence[Run], key: str) -> dict[str, Array]:
     return out
 
 
-class Difference(NamedTuple):
+class ReturnDifference(NamedTuple):
     """The difference of two distributions' returns over seeds.
 
     Attributes
@@ -261,7 +261,7 @@ class Difference(NamedTuple):
     p: float
 
 
-def difference(one: Array, other: Array) -> Difference:
+def difference(one: Array, other: Array) -> ReturnDifference:
     """Compare the returns under two distributions.
 
     Parameters
@@ -271,7 +271,7 @@ def difference(one: Array, other: Array) -> Difference:
 
     Returns
     -------
-    Difference
+    ReturnDifference
         The mean of `one` less `other` over n seeds, half its 95 % interval and the p-value of
         Student's t with n - 1 degrees of freedom; NaN of a single seed.
     """
@@ -279,12 +279,12 @@ def difference(one: Array, other: Array) -> Difference:
     degrees = len(apart) - 1
     mean, half = interval(apart)
     if not apart.any():
-        return Difference(0.0, half, 1.0 if degrees > 0 else np.nan)
+        return ReturnDifference(0.0, half, 1.0 if degrees > 0 else np.nan)
     if degrees == 0:
-        return Difference(mean, half, np.nan)
+        return ReturnDifference(mean, half, np.nan)
     error = half / stats.t.ppf(0.975, degrees)
     p = float(2 * stats.t.sf(abs(mean) / error, degrees)) if error else 0.0
-    return Difference(mean, half, p)
+    return ReturnDifference(mean, half, p)
 
 
 def interval(values: Array) -> tuple[float, float]:

@@ -12,7 +12,7 @@ from dropo.studies.engine.study import Study, Table
 from dropo.studies.engine.variants import Variant
 from dropo.studies.engine.work import Work
 from dropo.studies.tiboni_2021.hopper_fits import Item, problem_of, variant_item
-from dropo.studies.tiboni_2021.hopper_sets import EPSILON, FULL, Size
+from dropo.studies.tiboni_2021.hopper_sets import EPSILON, FULL, HopperStudySize
 
 HEADER = (
     "epsilon",
@@ -31,7 +31,7 @@ def figure_6_4(
     seeds: int | None = None,
     *,
     variants: Sequence[Variant] = (),
-    size: Size = FULL,
+    size: HopperStudySize = FULL,
 ) -> Study:
     """Total variance and mean squared error against epsilon, and the one chosen (figure 6.4).
 
@@ -43,7 +43,7 @@ def figure_6_4(
         Number of data sets; None for that of `size`.
     variants : sequence of Variant
         DROPO with parts exchanged, each with a table of its own.
-    size : Size
+    size : HopperStudySize
         How large the study is.
 
     Returns
@@ -117,7 +117,9 @@ def tuned(item: Item) -> dict[str, Any]:
     }
 
 
-def _sweeps(work: Work, count: int, size: Size, variant: Variant) -> list[dict[str, Any]]:
+def _sweeps(
+    work: Work, count: int, size: HopperStudySize, variant: Variant
+) -> list[dict[str, Any]]:
     """A variant's sweeps over data sets."""
     items = [variant_item("6.1", "noisy", seed, size, variant) for seed in range(count)]
     return work.map(tuned, items)

@@ -26,7 +26,7 @@ from dropo.problems.hopper.published import hopper_published, hopper_published_n
 from dropo.studies.engine.long_fits import long_fit
 from dropo.studies.engine.variants import Variant
 from dropo.studies.engine.work import Work
-from dropo.studies.tiboni_2021.hopper_sets import MEAN, Size, data_set, every
+from dropo.studies.tiboni_2021.hopper_sets import MEAN, HopperStudySize, data_set, every
 
 AUTHORS = "authors' data"
 """In the place of a table's number: the transitions that the authors published."""
@@ -38,7 +38,7 @@ Item = dict[str, Any]
 """What a task takes: table, kind, seed and size of the data, and more."""
 
 
-def item(table: str, kind: str, seed: int, size: Size, **more: Any) -> Item:
+def item(table: str, kind: str, seed: int, size: HopperStudySize, **more: Any) -> Item:
     """The item of a task.
 
     Parameters
@@ -49,7 +49,7 @@ def item(table: str, kind: str, seed: int, size: Size, **more: Any) -> Item:
         "clean" or "noisy".
     seed : int
         Seed of the data.
-    size : Size
+    size : HopperStudySize
         How large the study is.
     **more
         What else the task takes, such as `method`.
@@ -62,7 +62,7 @@ def item(table: str, kind: str, seed: int, size: Size, **more: Any) -> Item:
     return {"table": table, "kind": kind, "seed": seed, "size": asdict(size), **more}
 
 
-def variant_item(table: str, kind: str, seed: int, size: Size, variant: Variant) -> Item:
+def variant_item(table: str, kind: str, seed: int, size: HopperStudySize, variant: Variant) -> Item:
     """Make the item of a task that fits by a variant of a method.
 
     Parameters
@@ -73,7 +73,7 @@ def variant_item(table: str, kind: str, seed: int, size: Size, variant: Variant)
         "clean" or "noisy".
     seed : int
         Seed of the data.
-    size : Size
+    size : HopperStudySize
         How large the study is.
     variant : Variant
         A method with parts exchanged.
@@ -108,7 +108,7 @@ def problem_of(item: Item, threads: int = 1) -> tuple[Problem, Array]:
     BadFile
         If the authors' data are neither found nor fetched.
     """
-    size = Size(**item["size"])
+    size = HopperStudySize(**item["size"])
     if item["table"] != AUTHORS:
         return data_set(
             item["table"], item["kind"], item["seed"], size.transitions, threads=threads
@@ -126,14 +126,14 @@ def at_hand() -> bool:
         return False
 
 
-def estimator(method: str, size: Size) -> Estimator:
+def estimator(method: str, size: HopperStudySize) -> Estimator:
     """Build a method by its name in the studies' tables, with its defaults.
 
     Parameters
     ----------
     method : str
         Its name.
-    size : Size
+    size : HopperStudySize
         Settings of DROID and of the published method.
 
     Returns
@@ -186,7 +186,7 @@ def fitted(item: Item) -> dict[str, Any]:
         drawn [kg].
     """
     problem, drawn = problem_of(item)
-    size = Size(**item["size"])
+    size = HopperStudySize(**item["size"])
     if item["method"] == "dropo, published":
         problem = every(size.published[2], problem)
     if "variant" in item:
@@ -215,7 +215,7 @@ def as_published(work: Work, item: Item) -> dict[str, Any]:
         As of `fitted`.
     """
     problem, drawn = problem_of(item, work.threads)
-    made = estimator(AS_PUBLISHED, Size(**item["size"]))
+    made = estimator(AS_PUBLISHED, HopperStudySize(**item["size"]))
     fit = long_fit(work, json.dumps([AS_PUBLISHED, item]), made, problem)
     return {**found(fit), **_of_sample(drawn)}
 
@@ -292,7 +292,7 @@ def compared(item: Item) -> dict[str, Any]:
     local = Emulated().linearize_at(
         problem.simulator, problem.segments, family, problem.epsilon, centre, width, rng
     )
-    base = family.base(Size(**item["size"]).draws, rng)
+    base = family.base(HopperStudySize(**item["size"]).draws, rng)
     targets = problem.simulator.targets(problem.segments)
     gaussian = MonteCarlo(base.shape[1])
     out = {}
@@ -345,7 +345,7 @@ def evaluated(item: Item) -> dict[str, Any]:
     problem, _ = problem_of(item)
     family = TruncatedGaussian(problem.space)
     assert problem.epsilon is not None
-    gaussian = MonteCarlo(Size(**item["size"]).draws)
+    gaussian = MonteCarlo(HopperStudySize(**item["size"]).draws)
     objective = gaussian.bind(
         problem.simulator, problem.segments, family, problem.epsilon, np.random.default_rng(0)
     )

@@ -59,7 +59,7 @@ THESIS: dict[tuple[str, str, str], tuple[tuple[float, ...], tuple[float, ...]]] 
 
 
 @dataclass(frozen=True)
-class Size:
+class HopperStudySize:
     """How large a study is; the defaults are the thesis' own, and what its text asks for.
 
     Attributes
@@ -89,7 +89,7 @@ class Size:
     full: tuple[int, int] = (100, 5000)
 
 
-FULL = Size()
+FULL = HopperStudySize()
 
 
 def data_set(

@@ -23,7 +23,7 @@ from dropo.problems.hopper.data import simulate
 from dropo.problems.hopper.problem import hopper_problem
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 from dropo.studies.tiboni_2021 import hopper_fits
-from dropo.studies.tiboni_2021.hopper_sets import MEAN, Size
+from dropo.studies.tiboni_2021.hopper_sets import MEAN, HopperStudySize
 from dropo.studies.tiboni_2021.table_6_4 import EPSILONS, THESIS, light_torso
 
 TRUTH = "the truth"
@@ -104,7 +104,7 @@ def found(item: Item) -> dict[str, Any]:
     name = item["law"]
     if name == TRUTH:
         return {"law": name, **_given(whole(), "point", MEAN)}
-    size = Size(transitions=item["transitions"])
+    size = HopperStudySize(transitions=item["transitions"])
     light = light_torso(hopper_fits.item(item["data"], "clean", 0, size))
     if name == EXTENDED:
         return {"law": name, **_extended(light)}
@@ -178,7 +178,7 @@ def extended_model(effects: list[list[Any]]) -> Problem:
     Problem
         Of the other three masses; its data are two transitions.
     """
-    light = light_torso(hopper_fits.item("6.1", "clean", 0, Size(transitions=2)))
+    light = light_torso(hopper_fits.item("6.1", "clean", 0, HopperStudySize(transitions=2)))
     simulator = light.simulator
     assert isinstance(simulator, MujocoSimulator)
     fixed = []

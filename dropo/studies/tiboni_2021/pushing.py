@@ -80,7 +80,7 @@ STEPS = 300  # control steps of 10 ms
 
 
 @dataclass(frozen=True)
-class Size:
+class PushingStudySize:
     """How large the study is.
 
     Attributes
@@ -111,11 +111,11 @@ class Size:
     trials: int = 20
 
 
-FULL = Size()
+FULL = PushingStudySize()
 
 
 def pushing_study(
-    work: Work, seeds: int | None = None, *, published: bool = False, size: Size = FULL
+    work: Work, seeds: int | None = None, *, published: bool = False, size: PushingStudySize = FULL
 ) -> Study:
     """Table 6.6 and figure 6.10, simulation against simulation.
 
@@ -129,7 +129,7 @@ def pushing_study(
         Number of data sets; None for that of `size`.
     published : bool
         Whether the method is also run once as published.
-    size : Size
+    size : PushingStudySize
         How large the study is.
 
     Returns
@@ -189,7 +189,7 @@ def pushed(item: Item) -> dict[str, Any]:
         The distribution, the policy, and how far from the goal the target's box stops in every
         trial [m].
     """
-    size = Size(**item["size"])
+    size = PushingStudySize(**item["size"])
     problem = pushing(1, data_set(item)).using(transitions=size.transitions)
     values, kept = distribution(item, problem, estimator(item, DRAWS, EPSILON), size.draws)
     begun = time.perf_counter()
@@ -209,14 +209,14 @@ def pushed(item: Item) -> dict[str, Any]:
     }
 
 
-def policy(values: Array, size: Size, rng: np.random.Generator) -> tuple[Array, int]:
+def policy(values: Array, size: PushingStudySize, rng: np.random.Generator) -> tuple[Array, int]:
     """Searches the policy of least expected distance by CMA-ES.
 
     Parameters
     ----------
     values : (K, d) array
         Parameter vectors over which distances are averaged.
-    size : Size
+    size : PushingStudySize
         How many of them are taken, and the evaluations of the search.
     rng : numpy.random.Generator
         Source of the starts, of the noise and of the search.

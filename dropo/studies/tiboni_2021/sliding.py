@@ -61,7 +61,7 @@ THESIS = {
 
 
 @dataclass(frozen=True)
-class Size:
+class SlidingStudySize:
     """How large the study is.
 
     Attributes
@@ -89,11 +89,11 @@ class Size:
     grid: int = 11
 
 
-FULL = Size()
+FULL = SlidingStudySize()
 
 
 def sliding_study(
-    work: Work, seeds: int | None = None, *, published: bool = False, size: Size = FULL
+    work: Work, seeds: int | None = None, *, published: bool = False, size: SlidingStudySize = FULL
 ) -> Study:
     """Table 6.5 and figure 6.9, simulation against simulation.
 
@@ -107,7 +107,7 @@ def sliding_study(
         Number of data sets; None for that of `size`.
     published : bool
         Whether the method is also run once as published.
-    size : Size
+    size : SlidingStudySize
         How large the study is.
 
     Returns
@@ -153,7 +153,7 @@ def slid(item: Item) -> dict[str, Any]:
     dict
         The distribution, the policy, and how far from every goal the target's puck stops [m].
     """
-    size = Size(**item["size"])
+    size = SlidingStudySize(**item["size"])
     problem = sliding(1, data_set(item)).using(transitions=size.transitions)
     values, kept = distribution(item, problem, estimator(item, DRAWS, EPSILON), size.draws)
     simulator = sliding_simulator(1)

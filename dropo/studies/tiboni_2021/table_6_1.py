@@ -24,7 +24,7 @@ from dropo.studies.tiboni_2021.hopper_fits import (
     item,
     variant_item,
 )
-from dropo.studies.tiboni_2021.hopper_sets import EPSILON, FULL, MASSES, MEAN, Size
+from dropo.studies.tiboni_2021.hopper_sets import EPSILON, FULL, MASSES, MEAN, HopperStudySize
 from dropo.studies.tiboni_2021.rows import (
     Rows,
     comparison_of,
@@ -62,7 +62,7 @@ def table_6_1(
     published: bool = False,
     full: bool = False,
     variants: Sequence[Variant] = (),
-    size: Size = FULL,
+    size: HopperStudySize = FULL,
 ) -> Study:
     """Four masses that do not vary, from 1000 transitions, without and with noise (table 6.1).
 
@@ -80,7 +80,7 @@ def table_6_1(
         Whether it is run as published at full size, on the first data sets: many hours.
     variants : sequence of Variant
         Methods with parts exchanged, beside the others.
-    size : Size
+    size : HopperStudySize
         How large the study is.
 
     Returns
@@ -136,7 +136,9 @@ def table_6_1(
     )
 
 
-def _fits(work: Work, count: int, published: bool, variants: Sequence[Variant], size: Size) -> Fits:
+def _fits(
+    work: Work, count: int, published: bool, variants: Sequence[Variant], size: HopperStudySize
+) -> Fits:
     """All methods on the first data sets, the fast ones and the variants on the others."""
     methods = (*FAST, *SLOW, *(("dropo, published",) if published else ()))
     keys = []
@@ -155,7 +157,7 @@ def _fits(work: Work, count: int, published: bool, variants: Sequence[Variant], 
     return dict(zip(keys, work.map(fitted, items), strict=True))
 
 
-def _as_published(work: Work, size: Size) -> Fits:
+def _as_published(work: Work, size: HopperStudySize) -> Fits:
     """The published method at full size on the first data sets, one after the other."""
     sets = [(table, kind) for table in _tables_at_hand() for kind in EPSILON]
     return {
@@ -169,7 +171,9 @@ def _tables_at_hand() -> tuple[str, ...]:
     return ("6.1", AUTHORS) if at_hand() else ("6.1",)
 
 
-def _from_random_starts(work: Work, sets: list[Set], size: Size) -> dict[Set, list[dict[str, Any]]]:
+def _from_random_starts(
+    work: Work, sets: list[Set], size: HopperStudySize
+) -> dict[Set, list[dict[str, Any]]]:
     """DROPO's fits of each data set from random starts."""
     keys = [(table, kind, start) for table, kind in sets for start in range(size.starts)]
     items = [
@@ -183,7 +187,7 @@ def _from_random_starts(work: Work, sets: list[Set], size: Size) -> dict[Set, li
 
 
 def _log_likelihoods(
-    work: Work, sets: list[Set], fits: Fits, size: Size
+    work: Work, sets: list[Set], fits: Fits, size: HopperStudySize
 ) -> dict[Set, dict[str, float]]:
     """The thesis' log-likelihood of each fitted distribution and of the truth [nats]."""
     items = []

@@ -6,7 +6,7 @@ from dropo.studies.engine.study import Study
 from dropo.studies.engine.variants import Variant
 from dropo.studies.engine.work import Work
 from dropo.studies.tiboni_2021.distribution_recovery import recovered
-from dropo.studies.tiboni_2021.hopper_sets import FULL, Size
+from dropo.studies.tiboni_2021.hopper_sets import FULL, HopperStudySize
 
 
 def table_6_2(
@@ -16,7 +16,7 @@ def table_6_2(
     published: bool = False,
     full: bool = False,
     variants: Sequence[Variant] = (),
-    size: Size = FULL,
+    size: HopperStudySize = FULL,
 ) -> Study:
     """The spread of the torso's mass from 1000 transitions, without and with noise (table 6.2).
 
@@ -32,7 +32,7 @@ def table_6_2(
         Whether it is run as published at full size, on the first data sets: many hours.
     variants : sequence of Variant
         Methods with parts exchanged, beside the others.
-    size : Size
+    size : HopperStudySize
         How large the study is.
 
     Returns

@@ -31,7 +31,7 @@ from dropo.studies.tiboni_2021.hopper_fits import (
     problem_of,
     variant_item,
 )
-from dropo.studies.tiboni_2021.hopper_sets import FULL, Size
+from dropo.studies.tiboni_2021.hopper_sets import FULL, HopperStudySize
 
 MISSING = 1.0  # [kg] of the torso
 EPSILONS = (1e-3, 1e-4, 1e-5)
@@ -54,7 +54,7 @@ def table_6_4(
     seeds: int | None = None,
     *,
     variants: Sequence[Variant] = (),
-    size: Size = FULL,
+    size: HopperStudySize = FULL,
 ) -> Study:
     """A torso fixed 1 kg too light, three masses fitted, beside the thesis' fit (table 6.4).
 
@@ -68,7 +68,7 @@ def table_6_4(
         Number of our own data sets; None for one.
     variants : sequence of Variant
         Methods with parts exchanged, at the thesis' epsilon where they take one.
-    size : Size
+    size : HopperStudySize
         How large the study is.
 
     Returns
@@ -155,7 +155,7 @@ def light(item: Item) -> dict[str, Any]:
     """
     problem = light_torso(item)
     method = item["method"]
-    size = Size(**item["size"])
+    size = HopperStudySize(**item["size"])
     if "variant" in item:
         return found(_at_thesis_epsilon(item["variant"]).estimator(problem).fit(problem, rng=0))
     if method == "droid":
@@ -189,7 +189,7 @@ def likelihoods(item: Item) -> dict[str, Any]:
     """
     problem = light_torso(item)
     family = TruncatedGaussian(problem.space)
-    gaussian = MonteCarlo(Size(**item["size"]).draws)
+    gaussian = MonteCarlo(HopperStudySize(**item["size"]).draws)
     base = family.base(gaussian.draws, np.random.default_rng(0))
     targets = problem.simulator.targets(problem.segments)
     out = {}

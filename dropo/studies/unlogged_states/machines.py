@@ -33,7 +33,7 @@ that is white, of first order, or has long tails.
 
 
 @dataclass(frozen=True)
-class Machine:
+class LoggedMachine:
     """A model, what is fitted, and how it is logged.
 
     Attributes
@@ -79,7 +79,7 @@ class Machine:
 
 
 MACHINES = {
-    "arm": Machine(
+    "arm": LoggedMachine(
         ARM,
         (
             FieldParameter("damping", 0.02, 1.0, "N m s/rad", field="dof_damping", element="hinge"),
@@ -91,7 +91,7 @@ MACHINES = {
         rows=60,
         frame_skip=5,
     ),
-    "spring-mass": Machine(
+    "spring-mass": LoggedMachine(
         SPRING,
         (
             FieldParameter("mass", 0.3, 3.0, "kg", field="body_mass", element="ball"),
@@ -108,7 +108,7 @@ MACHINES = {
 
 
 @dataclass(frozen=True, eq=False)
-class Log:
+class SimulatedLog:
     """A simulated log.
 
     Attributes
@@ -125,7 +125,7 @@ class Log:
     optimum: Array
 
 
-def simulate_log(name: str, noise: str, seed: int) -> Log:
+def simulate_log(name: str, noise: str, seed: int) -> SimulatedLog:
     """Simulate a log of a machine under random or swept forces.
 
     Parameters
@@ -137,7 +137,7 @@ def simulate_log(name: str, noise: str, seed: int) -> Log:
 
     Returns
     -------
-    Log
+    SimulatedLog
 
     Raises
     ------
@@ -158,10 +158,10 @@ def simulate_log(name: str, noise: str, seed: int) -> Log:
     data = _trajectories(measured, actions, columns)
     simulator = machine.simulator(("qpos", "qvel")[:columns])
     problem = with_velocities(Problem(f"{name}, {noise}", simulator, data))
-    return Log(problem, np.array(machine.truth), _optimum(machine, noise, clean, columns))
+    return SimulatedLog(problem, np.array(machine.truth), _optimum(machine, noise, clean, columns))
 
 
-def _motion(machine: Machine, name: str, rng: np.random.Generator) -> tuple[Array, Array]:
+def _motion(machine: LoggedMachine, name: str, rng: np.random.Generator) -> tuple[Array, Array]:
     """True states (runs, rows + 1, 2) and actions (runs, rows, 1)."""
     model = mujoco.MjModel.from_xml_string(machine.xml)
     starts = np.zeros((machine.runs, 2))
@@ -185,7 +185,7 @@ def _motion(machine: Machine, name: str, rng: np.random.Generator) -> tuple[Arra
     return runs.states, actions
 
 
-def _errors(machine: Machine, noise: str, states: Array, rng: np.random.Generator) -> Array:
+def _errors(machine: LoggedMachine, noise: str, states: Array, rng: np.random.Generator) -> Array:
     """Errors of all measurements, of variance sd^2."""
     errors = rng.standard_normal(states.shape)
     if noise == "Student t 3":
@@ -208,7 +208,7 @@ def _trajectories(states: Array, actions: Array, columns: int) -> Trajectories:
     )
 
 
-def _optimum(machine: Machine, noise: str, clean: Trajectories, columns: int) -> Array:
+def _optimum(machine: LoggedMachine, noise: str, clean: Trajectories, columns: int) -> Array:
     """(d,) Cramer-Rao bound from true states, with the noise law known and every start unknown."""
     simulator = machine.simulator()
     segments = clean.segments(reset="start")

@@ -3,12 +3,12 @@
 import pytest
 
 from dropo.core.contracts.estimator import silent
-from dropo.diagnosis.far_off.motions import MotionSettings
+from dropo.diagnosis.far_off.motions import LongWindowSettings
 from dropo.diagnosis.far_off.search import FarOffSearch, FarOffSettings
 from tests.models.holding_servo import FRICTION, without_friction
 
 SETTINGS = FarOffSettings(
-    laws=(), families=(), motions=MotionSettings(seconds=(1.0, 5.0), physics_steps=12_000)
+    laws=(), families=(), motions=LongWindowSettings(seconds=(1.0, 5.0), physics_steps=12_000)
 )
 WITHIN = 4.0
 """Standard errors that the friction may be off by."""

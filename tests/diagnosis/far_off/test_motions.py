@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from dropo.core.services.errors import BadArgument
-from dropo.diagnosis.far_off.motions import MotionSettings, motions_of
+from dropo.diagnosis.far_off.motions import LongWindowSettings, motions_of
 from tests.models.far_off import torque_arm
 
-FEW = MotionSettings(seconds=(0.1, 0.2), physics_steps=12_000)
+FEW = LongWindowSettings(seconds=(0.1, 0.2), physics_steps=12_000)
 
 
 def cut(model, settings=FEW):

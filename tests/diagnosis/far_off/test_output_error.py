@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dropo.diagnosis.far_off.motions import MotionSettings, motions_of, moving
+from dropo.diagnosis.far_off.motions import LongWindowSettings, motions_of, moving
 from dropo.diagnosis.far_off.output_error import OutputError
 from dropo.diagnosis.far_off.ties import ties_of
 from tests.models.far_off import torque_arm
 
 TRUTH = 0.01  # [kg m^2] at the elbow
-SHORT = MotionSettings(seconds=(0.1,), physics_steps=12_000)
+SHORT = LongWindowSettings(seconds=(0.1,), physics_steps=12_000)
 
 
 def fitted(*labels):

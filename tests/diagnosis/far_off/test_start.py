@@ -9,7 +9,7 @@ import pytest
 from dropo.core.contracts.effect import instances_of
 from dropo.diagnosis.diagnose import Diagnose
 from dropo.diagnosis.far_off.model import FarOffModel
-from dropo.diagnosis.far_off.start import FarOffLimits, Start, start_of
+from dropo.diagnosis.far_off.start import FarOffLimits, FarOffStart, start_of
 from dropo.diagnosis.regression.quick import QuickSettings, sides
 from dropo.mjmodel.fields import FieldParameter
 from dropo.problems.file.estimated_velocities import with_velocities
@@ -120,7 +120,8 @@ def test_a_regression_that_motions_contradict_is_corrected(monkeypatch):
     nominal = np.array(problem.simulator.nominal)
     absurd = FarOffModel(divided, nominal, NONE, [(effect, size)])
     monkeypatch.setattr(
-        "dropo.diagnosis.diagnose.start_of", lambda *arguments: Start(absurd, absurd.problem, True)
+        "dropo.diagnosis.diagnose.start_of",
+        lambda *arguments: FarOffStart(absurd, absurd.problem, True),
     )
     found = Diagnose(length=5, windows=24, disturbances=False).run(problem)
     assert [(one.effect, one.target) for one in found.causes] == [("joint_armature", "elbow")]

@@ -7,7 +7,7 @@ import pytest
 
 from dropo import Diagnose
 from dropo.diagnosis.laws.pursuit import propose
-from dropo.diagnosis.laws.shapes import Ranges, Shape, shapes_at
+from dropo.diagnosis.laws.shapes import LawTerm, Ranges, shapes_at
 from dropo.effects.law import law_instance
 from dropo.exports.export import export
 from dropo.problems.file.plain_model import write_extended
@@ -99,7 +99,7 @@ def test_every_shape_is_a_formula():
 def test_proposals_from_columns():
     """Of random columns that of the truth is proposed, with its size; of noise alone nothing is."""
     rng = np.random.default_rng(0)
-    shapes = [Shape(f"x{i}", "") for i in range(60)]
+    shapes = [LawTerm(f"x{i}", "") for i in range(60)]
     columns = rng.normal(size=(60, 2000))
     full = np.linalg.norm(columns, axis=1)
     noise = rng.normal(size=2000)

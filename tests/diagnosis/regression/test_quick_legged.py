@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from dropo.core.contracts.problem import Problem
-from dropo.diagnosis.regression.equation import Log
+from dropo.diagnosis.regression.equation import UniformLog
 from dropo.diagnosis.regression.kernels import derivative_kernels
 from dropo.diagnosis.regression.quick import QuickDiagnose
 from dropo.logs.starting import init
@@ -62,7 +62,7 @@ def test_the_motion_of_a_free_body() -> None:
         speeds.append(data.qvel.copy())
         pushes.append(data.qacc.copy())
         mujoco.mj_step(model, data)
-    log = Log.__new__(Log)
+    log = UniformLog.__new__(UniformLog)
     log.nv = 6
     log.step = 0.001
     log.joints = all_joints(model)

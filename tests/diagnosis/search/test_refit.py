@@ -18,7 +18,7 @@ from dropo.diagnosis.search.refit import (
     refit,
     with_noise,
 )
-from dropo.diagnosis.search.whitening import NoiseSettings, white
+from dropo.diagnosis.search.whitening import WhitenessSettings, white
 from dropo.diagnosis.search.windows import split
 from tests.models import hidden_in_arm as arms
 
@@ -76,7 +76,7 @@ ARM = """<mujoco><option timestep="0.002"/><worldbody><body>
 <geom type="capsule" fromto="0 0 0 0 0 -0.5" size="0.02" mass="1"/></body></worldbody>
 <actuator><motor name="motor" joint="hinge"/></actuator></mujoco>"""
 SIZE = np.array([1e-3, 1e-2])
-WHITE_ALONE = DiagnosisSettings(noise=NoiseSettings(z=np.inf))
+WHITE_ALONE = DiagnosisSettings(noise=WhitenessSettings(z=np.inf))
 
 
 def swinging(folder, *, rho=0.0, uneven=0.0, damping=0.0, runs=20, steps=60):

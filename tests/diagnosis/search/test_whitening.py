@@ -6,8 +6,8 @@ from scipy.stats import multivariate_t
 
 from dropo.diagnosis.search.whitening import (
     DEGREES,
-    Noise,
     Whitener,
+    WindowNoise,
     coloured_noise,
     learn_noise,
     white,
@@ -202,7 +202,7 @@ def test_errors_that_follow_each_other_against_the_dense_covariance(case):
     """
     plain, dense_white, residuals = case
     scale = np.concatenate([plain.sigma, plain.scale[P:]])
-    whitener = Whitener(plain.loadings, scale, Noise(plain.sigma, RHO))
+    whitener = Whitener(plain.loadings, scale, WindowNoise(plain.sigma, RHO))
     dense = dense_with_colour(whitener)
     wanted = [
         multivariate_t.logpdf(r, shape=cov, df=DEGREES)
@@ -283,8 +283,8 @@ def test_coloured_noise_from_a_guess_that_is_far_off(off):
     size = np.array([1e-3, 1e-2])
     rho = np.array([0.8, 0.4])
     loadings, residuals = coasting(rho, np.random.default_rng(0))
-    near, _ = learn_noise(loadings, residuals, Noise(size, rho), 1e-9 * size)
-    found = Noise(off * size, np.full(2, 0.9))
+    near, _ = learn_noise(loadings, residuals, WindowNoise(size, rho), 1e-9 * size)
+    found = WindowNoise(off * size, np.full(2, 0.9))
     for _ in range(2):
         found, _ = learn_noise(loadings, residuals, found, 1e-9 * size)
     np.testing.assert_allclose(found.rho, near.rho, atol=0.01)

@@ -9,7 +9,7 @@ import pytest
 from dropo.core.services.errors import BadArgument
 from dropo.logs.guessing.guess import guess_mapping
 from dropo.logs.readers.reader import open_log
-from dropo.logs.starting import Start, init
+from dropo.logs.starting import InitResult, init
 from dropo.mjmodel.joints import load_model_joints
 from tests.models.imu_arm import COLUMNS, IMU, SKIP, noisy, record, write_logs
 
@@ -21,7 +21,7 @@ ROS = {
 SHORT = {"gyro_": "g", "acc_": "a", "quat_": "q"}
 
 
-def started(folder: Path, names: Any = None, change: Any = None, sensors: Any = IMU) -> Start:
+def started(folder: Path, names: Any = None, change: Any = None, sensors: Any = IMU) -> InitResult:
     """What `init` makes of logs whose columns are called otherwise."""
     logs = write_logs(folder, 3, runs=1, steps=120, sensors=sensors, change=change, names=names)
     return init(folder / "arm.xml", logs, folder / "out")

@@ -16,7 +16,7 @@ from dropo.estimators.least_squares import LeastSquares
 from dropo.studies.comparison import compare as module
 from dropo.studies.comparison.compare import compare
 from dropo.studies.comparison.data_sets import data_set
-from dropo.studies.comparison.summary import Target, summarized
+from dropo.studies.comparison.summary import SolvedWithin, summarized
 from dropo.studies.engine.pages import picture
 from dropo.studies.engine.variants import Variant
 from dropo.studies.tiboni_2021.hopper_sets import MEAN
@@ -119,7 +119,7 @@ def test_what_counts_as_solved() -> None:
         variants[1].label: [made(0.0, 9.6), made(0.0, 9.4)],
         variants[2].label: [made(2.9, 10.0), made(3.1, 10.0)],
     }
-    study = summarized("t", {"p": rows}, variants, np.array([2.0, 2.0]), 2, Target())
+    study = summarized("t", {"p": rows}, variants, np.array([2.0, 2.0]), 2, SolvedWithin())
     solved = {label: column.tolist() for label, column in study.data["solved"].items()}
     assert list(solved.values()) == [[True, True], [True, False], [True, False]]
     overall = {row[0]: row[1:] for row in study.tables[-1].rows}

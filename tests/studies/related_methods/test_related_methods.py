@@ -6,7 +6,14 @@ import pytest
 from dropo.problems.hopper.model import FRAME_SKIP
 from dropo.studies.engine.work import Work
 from dropo.studies.related_methods import study as related_methods
-from dropo.studies.related_methods.fits import METHODS, TRUTH, Size, TargetRobot, fitted, item
+from dropo.studies.related_methods.fits import (
+    METHODS,
+    TRUTH,
+    RelatedStudySize,
+    TargetRobot,
+    fitted,
+    item,
+)
 from dropo.studies.tiboni_2021.hopper_sets import MEAN, SPREAD, data_set
 
 SETTINGS = {
@@ -17,7 +24,7 @@ SETTINGS = {
     "adr": {"budget": 4, "buffer": 1, "draws": 20},
     "uniform randomization": {"draws": 20},
 }
-SMALL = Size(
+SMALL = RelatedStudySize(
     transitions=20,
     seeds=1,
     published=(3, 12, 4),
@@ -58,7 +65,7 @@ def test_every_method_has_its_row(monkeypatch):
 def test_without_training_there_are_no_returns(monkeypatch):
     """And no bayrn, which is nothing else."""
     monkeypatch.setattr(related_methods, "TABLES", {"6.1": "masses that do not vary"})
-    size = Size(transitions=20, methods=("least squares", "bayrn"), updates=0)
+    size = RelatedStudySize(transitions=20, methods=("least squares", "bayrn"), updates=0)
     study = related_methods.related_methods(Work(threads=1), 1, size=size)
     assert [row[0] for row in study.tables[0].rows] == ["least squares"]
     assert "return" not in study.tables[0].header
@@ -97,7 +104,7 @@ def test_collected_data_carry_the_target_s_noise():
 
 def test_a_heavy_hopper_falls():
     """ADR's performance is 1 at the true masses and 0 at twice those; the steps made are told."""
-    one = TargetRobot("6.1", target("6.1").problem, Size(probe=250))
+    one = TargetRobot("6.1", target("6.1").problem, RelatedStudySize(probe=250))
     well, badly = (one.performance(values, np.random.default_rng(0)) for values in (MEAN, 2 * MEAN))
     assert (well.value, badly.value) == (1.0, 0.0)
     assert well.steps == 250 * FRAME_SKIP > badly.steps

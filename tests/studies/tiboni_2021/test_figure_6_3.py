@@ -11,7 +11,7 @@ from scipy import stats
 from dropo.studies.engine.pages import picture
 from dropo.studies.engine.work import Work
 from dropo.studies.tiboni_2021 import figure_6_3, light_torso
-from dropo.studies.tiboni_2021.figure_6_3 import Size, difference
+from dropo.studies.tiboni_2021.figure_6_3 import ReturnStudySize, difference
 from dropo.studies.tiboni_2021.light_torso import (
     EXTENDED,
     PUBLISHED,
@@ -36,7 +36,7 @@ def _without_external_data(monkeypatch):
 def test_two_distributions(tmp_path):
     """A policy of each distribution, kept as tasks that name it and the seed; tables, picture."""
     path = tmp_path / "kept.jsonl"
-    size = Size(transitions=20, bounds=2, distributions=(TRUTH, UNIFORM), training=TINY)
+    size = ReturnStudySize(transitions=20, bounds=2, distributions=(TRUTH, UNIFORM), training=TINY)
     study = figure_6_3.figure_6_3(Work(threads=1, path=path), 1, size=size)
     entries = [json.loads(line)["entry"] for line in path.read_text().splitlines()]
     asked = [json.loads(entry[0]) for entry in entries if isinstance(entry, list)]

@@ -6,7 +6,7 @@ from dropo.problems.panda.pushing import TRUTH, target_model
 from dropo.studies.engine.pages import picture
 from dropo.studies.engine.work import Work
 from dropo.studies.tiboni_2021 import transfer
-from dropo.studies.tiboni_2021.pushing import POLICY, Size, ends, pushing_study
+from dropo.studies.tiboni_2021.pushing import POLICY, PushingStudySize, ends, pushing_study
 
 
 def test_where_the_pin_aims_decides():
@@ -28,7 +28,9 @@ def test_starts_repeat():
 def test_pushing(monkeypatch):
     """A tenth of the data: the centre of mass is found within 5 mm."""
     monkeypatch.setattr(transfer, "FITTED", ("dropo", "droid"))
-    small = Size(transitions=105, fits=1, bounds=1, droid=12, draws=2, evaluations=2, trials=2)
+    small = PushingStudySize(
+        transitions=105, fits=1, bounds=1, droid=12, draws=2, evaluations=2, trials=2
+    )
     study = pushing_study(Work(threads=1), size=small)
     fit = study.data["runs"][0]
     assert fit["method"] == "dropo"

@@ -8,9 +8,11 @@ from dropo.problems.panda.sliding import STEPS, TRUTH, sliding_simulator, stops
 from dropo.studies.engine.pages import picture
 from dropo.studies.engine.work import Work
 from dropo.studies.tiboni_2021 import sliding, transfer
-from dropo.studies.tiboni_2021.sliding import Size, on_target, policy, sliding_study
+from dropo.studies.tiboni_2021.sliding import SlidingStudySize, on_target, policy, sliding_study
 
-SMALL = Size(transitions=STEPS, fits=1, bounds=1, droid=12, published=14, draws=2, grid=4)
+SMALL = SlidingStudySize(
+    transitions=STEPS, fits=1, bounds=1, droid=12, published=14, draws=2, grid=4
+)
 
 
 def test_a_policy_for_known_numbers_hits():

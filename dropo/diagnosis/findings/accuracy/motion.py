@@ -32,7 +32,7 @@ from dropo.evaluation.whole_run import whole_run
 
 
 @dataclass(frozen=True)
-class MotionSettings:
+class ShownMotionSettings:
     """What pictures of a diagnosis show of the motion.
 
     Attributes
@@ -54,7 +54,7 @@ class MotionSettings:
     entries: int = 400
 
 
-SETTINGS = MotionSettings()
+SETTINGS = ShownMotionSettings()
 
 
 def motion(
@@ -64,7 +64,7 @@ def motion(
     last: State,
     before: Sequence[Horizon],
     after: Sequence[Horizon],
-    settings: MotionSettings = SETTINGS,
+    settings: ShownMotionSettings = SETTINGS,
 ) -> Predictions | None:
     """Return measured windows and what both models predict for them.
 
@@ -78,7 +78,7 @@ def motion(
         The model as it is, and with what was found.
     before, after : sequence of Horizon
         Their errors by horizon, which are shown as they are.
-    settings : MotionSettings
+    settings : ShownMotionSettings
         How much is shown.
 
     Returns
@@ -120,7 +120,7 @@ def _side(
     linearized: LinearizedWindows,
     state: State,
     errors: Sequence[Horizon],
-    settings: MotionSettings,
+    settings: ShownMotionSettings,
 ) -> Side:
     """What one model predicts for the windows that are shown, and its errors."""
     p = len(linearized.whiten.sigma)
@@ -169,7 +169,7 @@ def _square_roots(covariance: Array) -> Array:
 
 
 def _neighbours(
-    library: Library, part: DataPart, longest: int, settings: MotionSettings
+    library: Library, part: DataPart, longest: int, settings: ShownMotionSettings
 ) -> Windows | None:
     """Windows one after another, of the block that has most; None where there are too few."""
     for length in sorted({*settings.lengths, longest}, reverse=True):

@@ -50,7 +50,7 @@ class OddReplay:
 
 
 @dataclass(frozen=True, eq=False)
-class Replay:
+class WholeRunReplay:
     """How far whole runs are off, without any measurement on the way.
 
     Attributes
@@ -134,7 +134,7 @@ class Replay:
         return {"units": units, "runs": runs, "odd": [asdict(one) for one in self.odd()]}
 
 
-def replay(simulator: Simulator, data: Trajectories, thetas: Sequence[Array]) -> Replay:
+def replay(simulator: Simulator, data: Trajectories, thetas: Sequence[Array]) -> WholeRunReplay:
     """Replay whole runs with two models.
 
     Parameters
@@ -148,7 +148,7 @@ def replay(simulator: Simulator, data: Trajectories, thetas: Sequence[Array]) ->
 
     Returns
     -------
-    Replay
+    WholeRunReplay
     """
     segments = data.segments(reset="start", every_step=True)
     targets = simulator.targets(segments)
@@ -158,7 +158,7 @@ def replay(simulator: Simulator, data: Trajectories, thetas: Sequence[Array]) ->
     square = np.stack([np.mean(errors[:, a:b] ** 2, axis=1) for a, b in data.spans])
     before, after = np.moveaxis(np.sqrt(square), 1, 0)
     step = simulator.control_step or 1.0
-    return Replay(
+    return WholeRunReplay(
         seconds=tuple((b - a) * step for a, b in data.spans),
         signals=tuple(signal.name for signal in simulator.signals),
         units=tuple(signal.unit for signal in simulator.signals),

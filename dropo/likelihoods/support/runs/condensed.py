@@ -6,7 +6,7 @@ import numpy as np
 
 from dropo.core.numerics.tails import student_log_density
 from dropo.core.services.validation import Array
-from dropo.likelihoods.support.runs.linearization import Columns
+from dropo.likelihoods.support.runs.linearization import LinearizedInstants
 from dropo.likelihoods.support.runs.noise_levels import NoiseDistribution, follows, whiten
 
 
@@ -35,12 +35,14 @@ class Condensed:
     start_by_value: Array
 
 
-def condense(columns: Columns, noise: NoiseDistribution, prior: Array, starts: Array) -> Condensed:
+def condense(
+    columns: LinearizedInstants, noise: NoiseDistribution, prior: Array, starts: Array
+) -> Condensed:
     """Eliminate the starts of all pieces.
 
     Parameters
     ----------
-    columns : Columns
+    columns : LinearizedInstants
     noise : NoiseDistribution
     prior : (s,) array
         Information of the prior on each start, whose mean is an offset of 0.
@@ -88,12 +90,12 @@ def condense(columns: Columns, noise: NoiseDistribution, prior: Array, starts: A
     return Condensed(scores, information, values, step, by_value)
 
 
-def log_densities(columns: Columns, noise: NoiseDistribution) -> Array:
+def log_densities(columns: LinearizedInstants, noise: NoiseDistribution) -> Array:
     """Evaluate the log density of every instant, from the starts and parameters as they are.
 
     Parameters
     ----------
-    columns : Columns
+    columns : LinearizedInstants
     noise : NoiseDistribution
 
     Returns

@@ -9,7 +9,7 @@ from dropo.core.contracts.simulator import Simulator, describe_failures
 from dropo.core.numerics.finite_differences import axial_design, difference_quotients
 from dropo.core.services.errors import SimulationFailed
 from dropo.core.services.validation import Array
-from dropo.likelihoods.support.runs.windows import Windows
+from dropo.likelihoods.support.runs.windows import RunWindows
 
 BLOCK = 1 << 24
 """Predicted numbers that one call of the simulator may give; no result depends on it."""
@@ -57,7 +57,7 @@ class Steps:
 
 
 @dataclass(frozen=True, eq=False)
-class Columns:
+class LinearizedInstants:
     """Residuals of all instants as linear functions of one start a piece and of the parameters.
 
     An instant is a measurement: the first of each run, and that at the end of every transition.
@@ -98,7 +98,7 @@ class Columns:
     window: NDArray[np.int64]
     of_window: Array
 
-    def unlinked(self) -> "Columns":
+    def unlinked(self) -> "LinearizedInstants":
         """Make the same residuals as functions of one start a window, the parameters known."""
         matrix = np.concatenate([self.of_window, self.matrix[:, :, -1:]], axis=2)
         return replace(self, piece=self.window, matrix=matrix)
@@ -115,14 +115,14 @@ class Columns:
 
 
 def linearize_windows(
-    observed: Observed, windows: Windows, value: Array, starts: Array, steps: Steps
-) -> tuple[Columns, Windows]:
+    observed: Observed, windows: RunWindows, value: Array, starts: Array, steps: Steps
+) -> tuple[LinearizedInstants, RunWindows]:
     """Simulate every window from its start, differentiate, and close the gaps between windows.
 
     Parameters
     ----------
     observed : Observed
-    windows : Windows
+    windows : RunWindows
         N of them.
     value : (d,) or (G, d) array
         Parameters, one vector or one for each group.
@@ -132,8 +132,8 @@ def linearize_windows(
 
     Returns
     -------
-    columns : Columns
-    windows : Windows
+    columns : LinearizedInstants
+    windows : RunWindows
         The same, with runs cut where errors of their start have grown too far.
 
     Raises
@@ -201,7 +201,7 @@ def linearize_windows(
 
 
 def _predict(
-    observed: Observed, windows: Windows, values: Array, starts: Array, moves: Array
+    observed: Observed, windows: RunWindows, values: Array, starts: Array, moves: Array
 ) -> tuple[Array, Array]:
     """Predictions (K, R, m) and ends (K, N, s), from moved starts, in calls that fit in memory."""
     segments = windows.segments
@@ -227,12 +227,12 @@ def _predict(
 
 def _with_first_instants(
     observed: Observed,
-    windows: Windows,
+    windows: RunWindows,
     starts: Array,
     matrix: Array,
     by_start: Array,
     links: tuple[Array, Array, Array],
-) -> Columns:
+) -> LinearizedInstants:
     """The columns with each run's first measurement before the others of its piece."""
     segment, step = windows.segments.rows
     row = windows.segments.steps[segment, step]
@@ -254,7 +254,7 @@ def _with_first_instants(
     is_first = np.concatenate([np.ones(len(opening), bool), np.zeros(len(row), bool)])
     order = np.lexsort((~is_first, every_row))
     of_start, of_value, gap = links
-    return Columns(
+    return LinearizedInstants(
         piece=np.concatenate([opening, windows.piece[segment]])[order],
         row=every_row[order],
         first=is_first[order],

@@ -13,11 +13,11 @@ from scipy.optimize import minimize_scalar
 
 from dropo.core.numerics.tails import student_log_density
 from dropo.core.services.validation import Array
-from dropo.likelihoods.support.runs.linearization import Columns
+from dropo.likelihoods.support.runs.linearization import LinearizedInstants
 
 
 @dataclass(frozen=True)
-class NoiseSettings:
+class NoiseLevelSettings:
     """How noise levels are estimated, and when a sensor's noise is more than white.
 
     Attributes
@@ -135,12 +135,12 @@ def white(sd: Array, degrees: float | None = None) -> NoiseDistribution:
     return NoiseDistribution(sd, np.zeros_like(sd), np.full_like(sd, nu))
 
 
-def whiten(columns: Columns, noise: NoiseDistribution) -> Array:
+def whiten(columns: LinearizedInstants, noise: NoiseDistribution) -> Array:
     """Take memory and size out of all columns, along each piece.
 
     Parameters
     ----------
-    columns : Columns
+    columns : LinearizedInstants
     noise : NoiseDistribution
 
     Returns
@@ -157,12 +157,12 @@ def whiten(columns: Columns, noise: NoiseDistribution) -> Array:
     return np.asarray(out / noise.sd[:, None])
 
 
-def follows(columns: Columns) -> NDArray[np.bool_]:
+def follows(columns: LinearizedInstants) -> NDArray[np.bool_]:
     """Tell which numbers have one of the same signal and piece just before them.
 
     Parameters
     ----------
-    columns : Columns
+    columns : LinearizedInstants
         T instants of m signals, in pieces.
 
     Returns
@@ -189,13 +189,13 @@ class RestrictedEstimates:
 
     Parameters
     ----------
-    columns : Columns
+    columns : LinearizedInstants
     prior : (s + d,) array
         Information of the prior on every piece's start and parameters.
-    settings : NoiseSettings
+    settings : NoiseLevelSettings
     """
 
-    def __init__(self, columns: Columns, prior: Array, settings: NoiseSettings):
+    def __init__(self, columns: LinearizedInstants, prior: Array, settings: NoiseLevelSettings):
         self.columns = columns
         self.prior = np.diag(prior)
         self.settings = settings

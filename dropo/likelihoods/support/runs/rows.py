@@ -12,7 +12,7 @@ from dropo.core.services.errors import Incompatible
 from dropo.core.services.validation import Array
 from dropo.likelihoods.support.member_moments import coordinates, moments_of, slopes_of_moments
 from dropo.likelihoods.support.runs.condensed import Condensed
-from dropo.likelihoods.support.runs.linearization import Columns
+from dropo.likelihoods.support.runs.linearization import LinearizedInstants
 from dropo.likelihoods.support.runs.noise_levels import NoiseDistribution, whiten
 
 
@@ -28,7 +28,7 @@ class RunRows(LocalLogLikelihood):
     family : Family
     condensed : Condensed
         Around the centre.
-    columns : Columns
+    columns : LinearizedInstants
         T instants, of which a run's first counts to the row behind it.
     group : (P,) array of int
         The group of each piece: 0, 1, ...
@@ -53,7 +53,7 @@ class RunRows(LocalLogLikelihood):
         self,
         family: Family,
         condensed: Condensed,
-        columns: Columns,
+        columns: LinearizedInstants,
         group: Ints,
         centre: Array,
         noise: NoiseDistribution,
@@ -173,19 +173,21 @@ class RunRows(LocalLogLikelihood):
         return float(self.row_values.sum() + value.sum()), scores, information
 
 
-def _by_row(values: Array, columns: Columns, count: int) -> Array:
+def _by_row(values: Array, columns: LinearizedInstants, count: int) -> Array:
     """(R, k) sums of instants (T, k) by the row that they count to."""
     out = np.zeros((count, values.shape[1]))
     np.add.at(out, columns.row, values)
     return out
 
 
-def profiled(columns: Columns, matrix: Array, condensed: Condensed) -> tuple[Array, Array]:
+def profiled(
+    columns: LinearizedInstants, matrix: Array, condensed: Condensed
+) -> tuple[Array, Array]:
     """Follow the best starts.
 
     Parameters
     ----------
-    columns : Columns
+    columns : LinearizedInstants
     matrix : (T, m, s + d + 1) array
         Theirs, or whitened.
     condensed : Condensed

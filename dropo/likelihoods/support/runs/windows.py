@@ -28,7 +28,7 @@ def following_rows(data: Trajectories) -> Trajectories:
 
 
 @dataclass(frozen=True, eq=False)
-class Windows:
+class RunWindows:
     """N windows of P pieces, all transitions of the data in their order.
 
     A piece is a stretch of a run through which one start state decides the motion. Its windows are
@@ -90,7 +90,7 @@ class Windows:
         """The pieces as segments with every step compared: their rows are the data's."""
         return self.pieces.segments(reset="start")
 
-    def cut_before(self, windows: Ints) -> "Windows":
+    def cut_before(self, windows: Ints) -> "RunWindows":
         """Cut the runs where given windows begin.
 
         Parameters
@@ -100,7 +100,7 @@ class Windows:
 
         Returns
         -------
-        Windows
+        RunWindows
             The same windows, of more pieces.
         """
         if not len(windows):
@@ -110,7 +110,7 @@ class Windows:
         return replace(self, cut=cut)
 
 
-def windows_of(runs: Trajectories, length: int) -> Windows:
+def windows_of(runs: Trajectories, length: int) -> RunWindows:
     """Make every run one piece.
 
     Parameters
@@ -122,6 +122,6 @@ def windows_of(runs: Trajectories, length: int) -> Windows:
 
     Returns
     -------
-    Windows
+    RunWindows
     """
-    return Windows(runs, runs.terminals, length)
+    return RunWindows(runs, runs.terminals, length)

@@ -5,7 +5,7 @@ import pytest
 
 from dropo.core.records.saved_schema import SavedReplay
 from dropo.core.records.trajectories import Trajectories
-from dropo.diagnosis.findings.accuracy.replay import Replay, replay
+from dropo.diagnosis.findings.accuracy.replay import WholeRunReplay, replay
 from dropo.problems.loading import load
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
@@ -70,7 +70,7 @@ def test_a_run_in_which_one_signal_is_off_is_named() -> None:
     after = 0.01 * rng.uniform(0.7, 1.4, (6, 2))
     after[3, 1] = 0.2
     seconds = (10.0,) * 6
-    found = Replay(seconds, ("qpos.lift", "qpos.roll"), ("rad", "rad"), 2 * after, after)
+    found = WholeRunReplay(seconds, ("qpos.lift", "qpos.roll"), ("rad", "rad"), 2 * after, after)
     (odd,) = found.odd()
     assert (odd.run, odd.signal, odd.error) == (3, "qpos.roll", 0.2)
     assert "run 4 of those held out qpos.roll is off by 0.2 rad" in str(odd)
@@ -79,5 +79,5 @@ def test_a_run_in_which_one_signal_is_off_is_named() -> None:
     assert found.usual("rad") == pytest.approx(expected)
     assert found.table().rows[-1][0] == "all but odd runs"
     SavedReplay.model_validate(found.to_json())
-    few = Replay(seconds[:4], found.signals, found.units, 2 * after[:4], after[:4])
+    few = WholeRunReplay(seconds[:4], found.signals, found.units, 2 * after[:4], after[:4])
     assert few.odd() == []
