@@ -6,6 +6,7 @@
 import json
 import os
 import signal
+import time
 from collections import Counter
 from pathlib import Path
 
@@ -17,7 +18,9 @@ for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
 
 DURATIONS = Path(__file__).with_name("durations.json")
-"""Test -> seconds, of those that took at least RECORDED; written by `--record-durations`."""
+"""Test, or fixture that tests share -> processor seconds, of those that took at least RECORDED;
+written by `--record-durations`.
+"""
 ROOT = Path(__file__).resolve().parents[1]
 RECORDED = 0.2
 SLOW = 0.25
@@ -32,6 +35,16 @@ def recorded():
 def file_of(test):
     """The file of a test, from the root."""
     return test.split("::")[0]
+
+
+def longest(item, seconds):
+    """The seconds of a test, or of the longest of the shared fixtures without which it cannot run:
+    where the other tests are left out it is the first of them that waits for these.
+    """
+    file = Path(file_of(item.nodeid))
+    places = [file, *file.parents[:-1]]
+    shared = [f"{place.as_posix()}::{name}" for place in places for name in item.fixturenames]
+    return max(seconds.get(name, 0.0) for name in [item.nodeid, *shared])
 
 
 def pytest_addoption(parser):
@@ -51,7 +64,7 @@ def pytest_collection_modifyitems(config, items):
     """Mark what is slow; leave studies out unless the expression of -m names them."""
     seconds = recorded()
     for item in items:
-        if seconds.get(item.nodeid, 0.0) >= SLOW:
+        if longest(item, seconds) >= SLOW:
             item.add_marker(pytest.mark.slow)
         if item.get_closest_marker("study"):
             item.add_marker(pytest.mark.timeout(0))
@@ -66,8 +79,54 @@ def pytest_collection_modifyitems(config, items):
     items.sort(key=lambda item: (-of_file[file_of(item.nodeid)], file_of(item.nodeid)))
 
 
+SPENT = "processor seconds"
+SHARED = "processor seconds of shared fixtures"
+"""What they are called in the reports of a test; shared ones are in that of the first test."""
+begun = pytest.StashKey()
+shared = pytest.StashKey()
+
+
+def processor_seconds():
+    """Of this process and of those that it started and that ended: the same on a busy computer."""
+    all_times = os.times()
+    return time.process_time() + all_times.children_user + all_times.children_system
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item):
+    """What was before a test is none of its own."""
+    item.session.stash[begun] = processor_seconds()
+    item.session.stash[shared] = {}
+    return (yield)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_fixture_setup(fixturedef, request):
+    """Note what a fixture takes that tests share."""
+    before = processor_seconds()
+    try:
+        return (yield)
+    finally:
+        if fixturedef.scope != "function":
+            name = f"{fixturedef.baseid}::{fixturedef.argname}"
+            request.session.stash[shared][name] = processor_seconds() - before
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item):
+    """Send what a test took since the report before, and what shared fixtures took of it."""
+    report = yield
+    stash = item.session.stash
+    now = processor_seconds()
+    own = now - stash[begun] - sum(stash[shared].values())
+    report.user_properties += [(SPENT, own), (SHARED, stash[shared])]
+    stash[begun] = now
+    stash[shared] = {}
+    return report
+
+
 class Recorder:
-    """Adds up what each test takes, with its set-up, and writes it at the end.
+    """Adds up what each test takes, and what each fixture that tests share, and writes it.
 
     Files that were not run keep what was written of them, if they are still there.
     """
@@ -76,7 +135,10 @@ class Recorder:
         self.seconds = Counter()
 
     def pytest_runtest_logreport(self, report):
-        self.seconds[report.nodeid] += report.duration
+        said = dict(report.user_properties)
+        self.seconds[report.nodeid] += said[SPENT]
+        for name, seconds in said[SHARED].items():
+            self.seconds[name] = max(self.seconds[name], seconds)
 
     def pytest_sessionfinish(self):
         run = {file_of(test) for test in self.seconds}

@@ -105,6 +105,8 @@ def test_jobs_of_slurm(fake_slurm: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     """
     slurm = pytest.importorskip("submitit.slurm.slurm")
     monkeypatch.setattr(slurm.SlurmJob, "watcher", slurm.SlurmInfoWatcher(delay_s=1))
+    # How long it waits for the answer of a job that has ended: files are here at once.
+    monkeypatch.setattr(slurm.SlurmJob, "_results_timeout_s", 2)
     with executor_named("slurm:cpu,time=5,mem=1") as executor:
         assert Work(executor).map(square, [1, 2]) == Work(threads=1).map(square, [1, 2])
         assert len((fake_slurm / "jobs").read_text().splitlines()) == 2
