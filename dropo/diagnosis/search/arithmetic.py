@@ -1,16 +1,19 @@
 """Other physics steps and integrators as rivals of the causes, on equal terms.
 
 A model's own steps act like delays, inertia and damping. Before an effect is accepted, the model
-without it is therefore fitted with steps that are more exact, too: a rival that costs no number.
+without it is therefore fitted with steps that are more exact, too: a rival that costs no number. It
+is tried as an effect is, with the linearization in the start's noise as it is, and only fitted to
+the end where windows held out confirm that.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from dropo.core.services.files.evaluation_log import EvaluationLog
 from dropo.core.services.validation import Array
-from dropo.diagnosis.search.confirmation import SelectionSettings, is_confirmed
+from dropo.diagnosis.search.confirmation import SelectionSettings, has_less_noise, is_confirmed
 from dropo.diagnosis.search.linearization import Library, linearize, shift_linearization
 from dropo.diagnosis.search.record import Sides, recorded_sides
 from dropo.diagnosis.search.refit import NO_INDICES, refit, settle
@@ -133,18 +136,27 @@ class Rivals:
         # Along the way what promises nothing is not fitted; where all begins and ends, it is.
         if promise < 0 and state.accepted and found is not None:
             return False
-        rival = self._fitted(simulator, arithmetic, state)
         gained = float((state.test.log_likelihood - self.first.test.log_likelihood).sum())
         needed = self.selection.needed_gain(len(self._rivals(simulator)))
         needed = max(needed, self.selection.minimum_fraction * gained)
-        if not is_confirmed(state.test, rival.test, needed, self.selection):
-            return False
         before = penalized_log_likelihood(state)
-        gain = penalized_log_likelihood(rival) - before
         of_effect = 0.0 if found is None else penalized_log_likelihood(found) - before
-        if gain < max(of_effect, self.settings.further * self.won):
+        least = max(of_effect, self.settings.further * self.won)
+
+        def is_better(rival: State, least: float) -> bool:
+            """Whether windows held out confirm a rival, and it gains enough on all."""
+            confirmed = is_confirmed(state.test, rival.test, needed, self.selection)
+            return confirmed and penalized_log_likelihood(rival) - before >= least
+
+        # As of an effect: tried, and fitted to the end where that has a chance.
+        tried = self._tried(simulator, arithmetic, state)
+        has_chance = is_better(tried, self.selection.polished_fraction * least)
+        if not has_chance and not has_less_noise(state.train, tried.train, self.selection):
             return False
-        self.gain = gain
+        rival = self._fitted(simulator, arithmetic, state)
+        if not is_better(rival, least):
+            return False
+        self.gain = penalized_log_likelihood(rival) - before
         self.winner = self._refined(simulator, arithmetic, rival, needed)
         return True
 
@@ -176,6 +188,19 @@ class Rivals:
         enough = most - (1 - self.settings.nearly) * abs(most)
         return next((one, gain) for one, gain in told if gain >= enough)
 
+    def _tried(self, simulator: RobotSimulator, arithmetic: Arithmetic, state: State) -> State:
+        """A model in other steps, the linearization in the start's noise as it is."""
+        library = self._library(arithmetic.of(simulator))
+
+        def fit() -> Sides:
+            noise = state.train.whiten.noise
+            start = shift_linearization(library, state.train, state.theta, noise)
+            train = settle(library, start, state.free, self.floor, settings=self.selection.refit)
+            noise = train.whiten.noise
+            return train, shift_linearization(library, state.test, train.theta, noise)
+
+        return self._recorded(simulator, library, state, fit, (state.train, state.test))
+
     def _fitted(self, simulator: RobotSimulator, arithmetic: Arithmetic, state: State) -> State:
         """A model in other steps, fitted as one with an effect more is."""
         library = self._library(arithmetic.of(simulator))
@@ -186,9 +211,20 @@ class Rivals:
             noise = train.whiten.noise
             return train, linearize(library, state.test.windows, train.theta, noise)
 
+        return self._recorded(simulator, library, state, fit)
+
+    def _recorded(
+        self,
+        simulator: RobotSimulator,
+        library: Library,
+        state: State,
+        fit: Callable[[], Sides],
+        near: Sides | None = None,
+    ) -> State:
+        """A model fitted in the steps of a library, or made again from its record."""
         windows = (state.train.windows, state.test.windows)
         key = np.concatenate([state.theta, state.train.whiten.noise.numbers])
-        train, test = recorded_sides(self.log, library, key, windows, fit)
+        train, test = recorded_sides(self.log, library, key, windows, fit, near)
         simulator.steps += library.simulator.steps
         return State(train, test, state.free, state.accepted)
 
@@ -198,7 +234,7 @@ class Rivals:
         """A winner's steps, halved as long as windows held out confirm that."""
         while arithmetic.finer < self.settings.finest:
             finer = replace(arithmetic, finer=2 * arithmetic.finer)
-            halved = self._fitted(simulator, finer, rival)
+            halved = self._tried(simulator, finer, rival)
             if not is_confirmed(rival.test, halved.test, needed, self.selection):
                 break
             arithmetic, rival = finer, halved

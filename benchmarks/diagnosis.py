@@ -1,0 +1,248 @@
+"""Where the simulator steps of a diagnosis go: a table of stages for each problem.
+
+python benchmarks/diagnosis.py                        the hopper, half-cheetah, walker and an arm
+python benchmarks/diagnosis.py hopper one 3100 3101   one machine, one case, some seeds
+
+Cases are those of the study of hidden effects, and "far-off": an arm on a desk that lacks several
+things at once. Steps count as the diagnosis counts them, and as evaluations of the equations of
+motion, of which Runge and Kutta take four a step. Repeats are simulations of a window that were
+made before, with the same numbers from the same start. With one thread, all seconds are processor
+time.
+"""
+
+import argparse
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from dropo.core.contracts.simulator import Simulator
+from dropo.core.records.trajectories import Segments
+from dropo.core.services.validation import Array
+from dropo.mjmodel.options import integrator
+from dropo.studies.hidden_effects import study
+
+MACHINES = ("hopper", "half-cheetah", "walker2d", "position-arm")
+CASES = ("nothing", "one")
+SEEDS = (3100, 3101, 3102)
+STAGES = {
+    ("wiring", "wiring_of"): "wiring",
+    ("quick", "*"): "regression",
+    ("search", "FarOffSearch"): "whole motions",
+    ("window_length", "*"): "length of windows",
+    ("arithmetic", "*"): "other steps as rivals",
+    ("selection", "begin"): "the model as it is",
+    ("screening", "*"): "screening",
+    ("selection", "only_by_feedback"): "single steps",
+    ("selection", "try_candidates"): "trials",
+    ("selection", "polish"): "fits to the end",
+    ("review", "*"): "review",
+    ("discovery", "*"): "laws",
+    ("stability", "*"): "stability",
+    ("experiment", "*"): "what to record",
+    ("numerics", "*"): "arithmetic",
+    ("detectable", "*"): "what would have shown",
+    ("horizons", "*"): "horizons",
+    ("remaining", "*"): "what remains",
+    ("figures", "*"): "figures",
+    ("motion", "*"): "motion",
+    ("without_disturbances", "*"): "disturbances",
+    ("outlier_runs", "*"): "outlier runs",
+    ("invariance", "*"): "regimes",
+}
+"""By module and function: the outermost on the way from the diagnosis to the simulator."""
+OPERATIONS = {
+    ("linearization", "linearize"): "starts, either way",
+    ("linearization", "shift_linearization"): "other numbers",
+    ("linearization", "jacobian"): "Jacobians",
+    ("refit", "_best"): "steps of fits",
+    ("screening", "_first_choice"): "responses, some windows",
+    ("screening", "_predictions"): "responses, all windows",
+}
+"""The same of what is simulated."""
+PER_STEP = {"RK4": 4}
+"""Evaluations of the equations of motion in a step, where these are not one."""
+
+
+class Stages:
+    """Steps, evaluations, repeats and seconds by stage."""
+
+    def __init__(self) -> None:
+        self.steps: Counter[str] = Counter()
+        self.operations: Counter[str] = Counter()
+        self.evaluations: Counter[str] = Counter()
+        self.repeats: Counter[str] = Counter()
+        self.seconds: Counter[str] = Counter()
+        self.seen: set[Any] = set()
+
+    def add(self, other: "Stages") -> None:
+        """Add what another run counted."""
+        self.steps.update(other.steps)
+        self.operations.update(other.operations)
+        self.evaluations.update(other.evaluations)
+        self.repeats.update(other.repeats)
+        self.seconds.update(other.seconds)
+
+    def note(
+        self,
+        simulator: Simulator,
+        values: Array,
+        segments: Segments,
+        offsets: Array | None,
+        steps: int,
+        seconds: float,
+    ) -> None:
+        """Count one call of a simulator."""
+        stage = outermost(STAGES, sys._getframe(2))
+        self.steps[stage] += steps
+        self.operations[outermost(OPERATIONS, sys._getframe(2))] += steps
+        self.seconds[stage] += seconds
+        model = simulator.model
+        times = 1
+        marks: tuple[Any, ...] = (id(type(simulator)),)
+        if model is not None:
+            times = PER_STEP.get(integrator(model), 1)
+            effects = tuple(one.label for one in getattr(simulator, "effects", ()))
+            marks = (float(model.opt.timestep), times, hash(effects))
+        self.evaluations[stage] += times * steps
+        self.repeats[stage] += round(steps * self._repeated(marks, values, segments, offsets))
+
+    def _repeated(
+        self, marks: tuple[Any, ...], values: Array, segments: Segments, offsets: Array | None
+    ) -> float:
+        """The fraction of the simulations that were made before."""
+        rows = segments.steps
+        again = 0
+        for k, value in enumerate(values):
+            numbers = value.tobytes()
+            for i, row in enumerate(rows):
+                start = b"" if offsets is None else offsets[k, i].tobytes()
+                key = hash((marks, numbers, row.tobytes(), start))
+                again += key in self.seen
+                self.seen.add(key)
+        return again / (len(values) * len(rows))
+
+
+def outermost(named: Mapping[tuple[str, str], str], frame: FrameType | None) -> str:
+    """The outermost of some functions on the way to a call."""
+    found = "other"
+    while frame is not None:
+        module = str(frame.f_globals.get("__name__", "")).rpartition(".")[2]
+        owner, _, function = frame.f_code.co_qualname.rpartition(".")
+        for name in (function, owner, "*"):
+            if (module, name) in named:
+                found = named[module, name]
+        frame = frame.f_back
+    return found
+
+
+@contextmanager
+def counted() -> Iterator[Stages]:
+    """Count what simulators do in the meantime."""
+    found = Stages()
+    bare: Callable[..., Array] = Simulator.predict
+
+    def predict(self: Simulator, values: Any, segments: Segments, *, offsets: Any = None) -> Array:
+        steps = self.steps
+        begun = time.process_time()
+        predicted = bare(self, values, segments, offsets=offsets)
+        seconds = time.process_time() - begun
+        if np.ndim(values) == 2:
+            numbers = np.asarray(values, dtype=float)
+            found.note(self, numbers, segments, offsets, self.steps - steps, seconds)
+        return predicted
+
+    Simulator.predict = predict  # type: ignore[method-assign]
+    try:
+        yield found
+    finally:
+        Simulator.predict = bare  # type: ignore[method-assign]
+
+
+def measured(machine: str, case: str, seed: int) -> tuple[Stages, dict[str, Any]]:
+    """A run of the study: where its steps went, and what was said."""
+    bare = study.Diagnose.run
+    kept: list[Stages] = []
+    spent: list[float] = []
+
+    def run(self: Any, problem: Any, **named: Any) -> Any:
+        with counted() as stages:
+            begun = time.process_time()
+            answer = bare(self, problem, **named)
+            spent.append(time.process_time() - begun)
+        kept.append(stages)
+        return answer
+
+    study.Diagnose.run = run  # type: ignore[method-assign]
+    try:
+        said = study.run([machine, case, seed])
+    finally:
+        study.Diagnose.run = bare  # type: ignore[method-assign]
+    return kept[0], {**said, "seconds": spent[0]}
+
+
+def table(machine: str, case: str, stages: Stages, runs: list[dict[str, Any]]) -> str:
+    """The stages of some runs, the largest first, on average."""
+    count = len(runs)
+    total = sum(stages.steps.values())
+    lines = [
+        f"{machine}, {case}: {count} runs, median {np.median([r['steps'] for r in runs]):,.0f} "
+        f"steps, {np.median([r['seconds'] for r in runs]):.1f} s of processor time",
+        "",
+        "| stage | steps | share | evaluations | repeats | s in the simulator |",
+        "|---|---|---|---|---|---|",
+    ]
+    for stage, steps in stages.steps.most_common():
+        lines.append(
+            f"| {stage} | {steps / count:,.0f} | {steps / total:.0%} | "
+            f"{stages.evaluations[stage] / count:,.0f} | {stages.repeats[stage] / steps:.0%} | "
+            f"{stages.seconds[stage] / count:.2f} |"
+        )
+    evaluations = sum(stages.evaluations.values())
+    repeats = sum(stages.repeats.values())
+    seconds = sum(stages.seconds.values())
+    lines.append(
+        f"| all | {total / count:,.0f} | 100% | {evaluations / count:,.0f} | "
+        f"{repeats / total:.0%} | {seconds / count:.2f} |"
+    )
+    lines += ["", "| what is simulated | steps | share |", "|---|---|---|"]
+    for what, steps in stages.operations.most_common():
+        lines.append(f"| {what} | {steps / count:,.0f} | {steps / total:.0%} |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Print a table for each machine and case."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("machine", nargs="?")
+    parser.add_argument("case", nargs="?")
+    parser.add_argument("seeds", nargs="*", type=int)
+    options = parser.parse_args()
+    machines = MACHINES if options.machine is None else (options.machine,)
+    cases = CASES if options.case is None else (options.case,)
+    for machine in machines:
+        for case in cases:
+            whole = Stages()
+            runs = []
+            for seed in options.seeds or SEEDS:
+                with threadpool_limits(1, user_api="blas"):
+                    stages, said = measured(machine, case, seed)
+                whole.add(stages)
+                runs.append(said)
+                print(f"{seed}: {said['hidden']} -> {said['said']}", file=sys.stderr, flush=True)
+            print(table(machine, case, whole, runs), end="\n\n", flush=True)
+
+
+if __name__ == "__main__":
+    main()
