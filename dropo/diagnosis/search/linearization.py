@@ -396,6 +396,36 @@ def shift_linearization(
     )
 
 
+def with_other_noise(
+    library: Library, linearized: LinearizedWindows, noise: Noise
+) -> LinearizedWindows:
+    """Give windows another noise, at their theta, with the start's loadings as they are.
+
+    Parameters
+    ----------
+    library : Library
+        The simulator that they were simulated with.
+    linearized : LinearizedWindows
+        The windows.
+    noise : Noise
+        The other noise.
+
+    Returns
+    -------
+    LinearizedWindows
+        As of `shift_linearization`; those that this, or a step of a fit, gave are not simulated
+        again.
+    """
+    theta = linearized.theta
+    if not linearized.shifted:
+        return shift_linearization(library, linearized, theta, noise)
+    windows = linearized.windows
+    residuals = linearized.residuals.copy()
+    residuals[linearized.lost] = DIVERGED * np.tile(noise.sigma, windows.length)
+    whiten = whitener(library, windows, theta, noise, linearized.loadings)
+    return replace(linearized, residuals=residuals, whiten=whiten)
+
+
 def whitener(
     library: Library, windows: Windows, theta: Array, noise: WindowNoise, loadings: Array
 ) -> Whitener:

@@ -8,13 +8,14 @@ from dropo.core.numerics.gauss_newton import GaussNewtonSettings, damped_step, m
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
 from dropo.diagnosis.search.linearization import (
+    DIVERGED,
     Library,
     LinearizedWindows,
     estimate_noise,
     linearize,
-    shift_linearization,
     step_lengths,
     whitener,
+    with_other_noise,
 )
 from dropo.diagnosis.search.whitening import (
     SETTINGS,
@@ -42,6 +43,10 @@ class RefitSettings:
         How often at most the effect of the start's noise is found anew in a fit.
     renewal_gain : float
         From this many nats on, finding it anew has changed something.
+    renewal_stride : int
+        Whether it has is first seen on one window of so many ...
+    renewal_fewest : int
+        ... if these are so many at least.
     noiseless : float
         Data whose noise is below this multiple of its lower bound are without noise.
     other_noise : float
@@ -54,6 +59,8 @@ class RefitSettings:
     close: float = 0.02
     renewals: int = 4
     renewal_gain: float = 3.0
+    renewal_stride: int = 4
+    renewal_fewest: int = 12
     noiseless: float = 10.0
     other_noise: float = 1.3
     scan: tuple[float, ...] = (0.05, 0.15, 0.3, 0.5, 0.7, 0.85, 1.15, 1.4, 1.8, 2.5, 4.0)
@@ -107,6 +114,8 @@ def refit(
     )
     # Linearize anew where theta has gone, until that changes nothing any more.
     for _ in range(settings.renewals if renewals is None else renewals):
+        if not _is_outdated(library, linearized, settings):
+            break
         renewed = linearize(library, linearized.windows, linearized.theta, linearized.whiten.noise)
         change = float(renewed.log_likelihood.sum() - linearized.log_likelihood.sum())
         if abs(change) < settings.renewal_gain:
@@ -117,6 +126,19 @@ def refit(
     if np.median(linearized.whiten.sigma / floor) < settings.noiseless:
         return settle(library, linearized, free, floor, close=True, settings=settings)
     return linearized
+
+
+def _is_outdated(
+    library: Library, linearized: LinearizedWindows, settings: RefitSettings
+) -> bool:
+    """Whether finding the effect of the start's noise anew may change something, by some windows."""
+    count = len(linearized.windows)
+    if count < settings.renewal_stride * settings.renewal_fewest:
+        return True
+    some = linearized.take(np.arange(0, count, settings.renewal_stride))
+    renewed = linearize(library, some.windows, some.theta, some.whiten.noise)
+    change = float(renewed.log_likelihood.sum() - some.log_likelihood.sum())
+    return abs(change) * settings.renewal_stride >= settings.renewal_gain
 
 
 def with_noise(
@@ -142,7 +164,7 @@ def with_noise(
     ratios = np.abs(np.log(noise.sigma / linearized.whiten.sigma))
     if np.any(ratios > np.log(settings.other_noise)):
         return linearize(library, linearized.windows, linearized.theta, noise)
-    return shift_linearization(library, linearized, linearized.theta, noise)
+    return with_other_noise(library, linearized, noise)
 
 
 def other_noise(
@@ -235,7 +257,7 @@ def settle(
                 problem, linearized, settings.steps, jacobian=jacobian, close=close
             )
         noise = estimate_noise(linearized, linearized.whiten.noise, floor)
-        linearized = shift_linearization(library, linearized, linearized.theta, noise)
+        linearized = with_other_noise(library, linearized, noise)
         if abs(float(linearized.log_likelihood.sum()) - before) < settings.steps.tolerance:
             break
     return linearized
@@ -315,10 +337,16 @@ def _best(
     gain = float(values[best] - linearized.log_likelihood.sum())
     if not gain > 0:
         return linearized, 0.0
-    # Windows that diverge keep the residuals that they had.
+    # Windows that diverge count as those that are lost.
     residuals = windows.measured - predictions[best] - linearized.shift
-    diverged = linearized.lost | ~np.isfinite(residuals).all(axis=1)
-    residuals[diverged] = linearized.residuals[diverged]
-    theta = candidates[best]
-    better = replace(linearized, theta=theta, residuals=residuals, whiten=whiteners[best])
+    lost = linearized.lost | ~np.isfinite(residuals).all(axis=1)
+    residuals[lost] = DIVERGED * np.tile(noise.sigma, windows.length)
+    better = replace(
+        linearized,
+        theta=candidates[best],
+        residuals=residuals,
+        whiten=whiteners[best],
+        lost=lost,
+        shifted=True,
+    )
     return better, gain

@@ -201,10 +201,9 @@ def _squares(
 ) -> Array | None:
     """(W,) the squared length of each window's whitened response; None where it diverges."""
     test = last.test
-    theta = np.repeat(last.theta[None], 2, axis=0)
-    theta[1, place] += change
-    without, with_it = library.predict(theta, test.windows)
-    response = with_it - without
+    theta = last.theta.copy()
+    theta[place] += change
+    response = library.predict(theta[None], test.windows)[0] - test.predicted
     if not np.isfinite(response[~test.lost]).all():
         return None
     whitened = test.flat(np.nan_to_num(response))
