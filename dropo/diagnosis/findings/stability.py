@@ -11,7 +11,6 @@ from dropo.core.services.errors import BadArgument
 from dropo.diagnosis.parts import Alternative, Stability
 from dropo.diagnosis.search.linearization import LinearizedWindows, linearize
 from dropo.diagnosis.search.review import Review
-from dropo.diagnosis.search.screening import Screening
 from dropo.diagnosis.search.selection import Selection
 from dropo.diagnosis.search.windows import Windows
 
@@ -92,12 +91,10 @@ def stability(
             rivals.append(other)
     tried = [instance, *rivals[: settings.rivals]]
 
-    screening = Screening(selection.library, selection.floor, selection.settings.screening)
-
     def named(windows: LinearizedWindows, *parts: Ints) -> list[bool]:
         """Whether, in each part of the windows, nothing but its likes promises more."""
         answers = []
-        for candidates in screening.by_part(windows, without.free, tried, parts):
+        for candidates in selection.screening.by_part(windows, without.free, tried, parts):
             gains = {candidate.instance.label: candidate.gain for candidate in candidates}
             own = gains.pop(instance.label, 0.0)
             answers.append(own > 0 and own >= settings.nearly * max(gains.values(), default=0.0))

@@ -600,6 +600,7 @@ def _extended(selection: Selection, library: Library) -> Selection:
         {label: batches.get(id(one), one) for label, one in selection.origins.items()}
     )
     own.screening.remembered.update(selection.screening.remembered)
+    own.screening.counted.update(selection.screening.counted)
     own.screening.first = (
         None
         if selection.screening.first is None

@@ -128,10 +128,8 @@ def refit(
     return linearized
 
 
-def _is_outdated(
-    library: Library, linearized: LinearizedWindows, settings: RefitSettings
-) -> bool:
-    """Whether finding the effect of the start's noise anew may change something, by some windows."""
+def _is_outdated(library: Library, linearized: LinearizedWindows, settings: RefitSettings) -> bool:
+    """Whether some windows say that the effect of the start's noise is another by now."""
     count = len(linearized.windows)
     if count < settings.renewal_stride * settings.renewal_fewest:
         return True

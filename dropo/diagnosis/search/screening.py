@@ -50,6 +50,8 @@ class ScreeningSettings:
         A first choice takes one window of so many ...
     coarse_windows : int
         ... if at least so many windows are left.
+    kept : int
+        So many screenings keep the responses of all windows.
     noise_rounds : int
         Iterations in which the noise is learned for one promise.
     minimum_variance : float
@@ -61,6 +63,7 @@ class ScreeningSettings:
     finalists: int = 18
     coarse_stride: int = 4
     coarse_windows: int = 12
+    kept: int = 3
     noise_rounds: int = 4
     minimum_variance: float = 0.5
 
@@ -91,6 +94,10 @@ class Candidate:
     signature: Array
 
 
+Scored = dict[str, tuple[Candidate, Probe]]
+"""By an effect's label, what it promises along the probe that promises most."""
+
+
 @dataclass(eq=False)
 class Screening:
     """The score tests of a search, which keep the responses that its first choice was made with.
@@ -111,6 +118,12 @@ class Screening:
         Some of the windows, as the first choice on them found them ...
     remembered : dict
         ... and their responses, by effect and probe.
+    counted : set
+        Which of these have been counted as simulator steps, also by a search that was resumed.
+    kept : list
+        All windows as they were screened last, and their responses.
+    best : dict
+        By an effect's label, the probe along which it promised most on all windows.
     """
 
     library: Library
@@ -119,13 +132,17 @@ class Screening:
     log: EvaluationLog = field(default_factory=EvaluationLog)
     first: LinearizedWindows | None = None
     remembered: Responses = field(default_factory=dict)
+    counted: set[tuple[str, Probe]] = field(default_factory=set)
+    kept: list[tuple[LinearizedWindows, Responses]] = field(default_factory=list)
+    best: dict[str, Probe] = field(default_factory=dict)
 
     def __call__(
         self, linearized: LinearizedWindows, free: np.ndarray, instances: Sequence[EffectInstance]
     ) -> list[Candidate]:
         """Order effects by what they promise.
 
-        All are screened on some of the windows, the best of these on all windows.
+        All are screened on some of the windows, the best of these on all windows along the probe
+        that promises most there.
 
         Parameters
         ----------
@@ -142,15 +159,17 @@ class Screening:
             The one that promises most comes first.
         """
         settings = self.settings
+        probed = _every_probe(instances)
         # Where effects are many, only those that promise most on some of the windows go on.
         count = len(linearized.windows)
         enough_windows = count >= settings.coarse_stride * settings.coarse_windows
         if len(instances) > settings.finalists and enough_windows:
             some = linearized.take(np.arange(0, count, settings.coarse_stride))
-            instances = self._first_choice(some, free, instances)
+            probed = self._first_choice(some, free, instances)
         # These are scored on all windows.
-        probed = [(instance, probe) for instance in instances for probe in all_probes(instance)]
-        return self._score_all(linearized, free, probed, responses={})
+        scored = self._score_all(linearized, free, probed, self._responses_of(linearized))
+        self.best.update({label: probe for label, (_, probe) in scored.items()})
+        return _by_gain(scored)
 
     def by_part(
         self,
@@ -164,7 +183,8 @@ class Screening:
         Parameters
         ----------
         linearized, free, instances
-            As of a call; all instances are screened on all windows.
+            As of a call; all instances are screened on all windows, each along the probe that
+            promised most when it was screened before.
         parts : sequence of int array
             The windows of each part.
 
@@ -173,47 +193,85 @@ class Screening:
         list of list of Candidate
             For each part, the one that promises most first.
         """
-        probed = [(instance, probe) for instance in instances for probe in all_probes(instance)]
-        responses: Responses = {}
-        self._add_responses(linearized, probed, responses)
+        known = self._responses_of(linearized)
+        probed: list[ProbedEffect] = []
+        for instance in instances:
+            best = self.best.get(instance.label)
+            probes = all_probes(instance) if best is None else [best]
+            probed += [(instance, probe) for probe in probes]
+        self._add_responses(linearized, probed, known)
         found = []
         for part in parts:
-            responses_of_part = {key: changes[:, part] for key, changes in responses.items()}
+            responses_of_part = {key: changes[:, part] for key, changes in known.items()}
             windows = linearized.take(part)
-            found.append(self._score_all(windows, free, probed, responses_of_part))
+            found.append(_by_gain(self._score_all(windows, free, probed, responses_of_part)))
         return found
+
+    def _responses_of(self, linearized: LinearizedWindows) -> Responses:
+        """The responses of all windows that are known by now; what is added to them is kept."""
+        for windows, responses in self.kept:
+            if windows is linearized:
+                return responses
+        responses = {}
+        self.kept = [(linearized, responses), *self.kept[: self.settings.kept - 1]]
+        return responses
 
     def _first_choice(
         self, some: LinearizedWindows, free: np.ndarray, instances: Sequence[EffectInstance]
-    ) -> list[EffectInstance]:
-        """The effects that promise most on some of the windows, or those that are recorded.
+    ) -> list[ProbedEffect]:
+        """The effects that promise most on some of the windows, each with its best probe, or those
+        that are recorded.
 
         Their responses are those that the very first choice was made with.
         """
         if self.first is None:
             self.first = some
         first = self.first
-        simulator = self.library.simulator
-        probed = [(instance, probe) for instance in instances for probe in coarse_probes(instance)]
+        coarse = [(instance, probe) for instance in instances for probe in coarse_probes(instance)]
 
-        def choose() -> list[EffectInstance]:
-            steps_before = simulator.steps
-            self._add_responses(first, probed, self.remembered)
-            if some is not first:
-                # A search that was resumed simulates again what the first choice has counted.
-                simulator.steps = steps_before
-            ranked = self._score_all(some, free, probed, self.remembered)
-            return [candidate.instance for candidate in ranked[: self.settings.finalists]]
+        def choose() -> list[ProbedEffect]:
+            self._remember(first, coarse)
+            ranked = _by_gain(self._score_all(some, free, coarse, self.remembered))
+            finalists = [candidate.instance for candidate in ranked[: self.settings.finalists]]
+            every = _every_probe(finalists)
+            self._remember(first, every)
+            scored = self._score_all(some, free, every, self.remembered)
+            probes = {label: probe for label, (_, probe) in scored.items()}
+            ordered = [candidate.instance for candidate in _by_gain(scored)]
+            return [(instance, probes[instance.label]) for instance in ordered]
 
-        # A choice is recorded by the positions of the chosen among all instances.
-        def pack(chosen: list[EffectInstance]) -> Array:
-            return np.array([instances.index(instance) for instance in chosen], dtype=float)
+        # A choice is recorded by the positions of the chosen among all, and of their probes.
+        def pack(chosen: list[ProbedEffect]) -> Array:
+            positions = [
+                (instances.index(instance), all_probes(instance).index(probe))
+                for instance, probe in chosen
+            ]
+            return np.array(positions, dtype=float).ravel()
 
-        def unpack(record: Array) -> list[EffectInstance]:
-            return [instances[int(position)] for position in record]
+        def unpack(record: Array) -> list[ProbedEffect]:
+            chosen = []
+            for position, which in record.reshape(-1, 2).astype(int).tolist():
+                instance = instances[position]
+                chosen.append((instance, all_probes(instance)[which]))
+            return chosen
 
         key = np.concatenate([some.theta, some.whiten.sigma])
-        return recorded(self.log, simulator, key, choose, pack, unpack)
+        chosen = recorded(self.log, self.library.simulator, key, choose, pack, unpack)
+        counted = [*coarse, *_every_probe([instance for instance, _ in chosen])]
+        self.counted.update((instance.label, probe) for instance, probe in counted)
+        return chosen
+
+    def _remember(self, first: LinearizedWindows, probed: Sequence[ProbedEffect]) -> None:
+        """Simulate what is missing of the responses that are remembered.
+
+        A search that was resumed simulates again what has been counted.
+        """
+        simulator = self.library.simulator
+        before = [one for one in probed if (one[0].label, one[1]) in self.counted]
+        steps = simulator.steps
+        self._add_responses(first, before, self.remembered)
+        simulator.steps = steps
+        self._add_responses(first, probed, self.remembered)
 
     def _score_all(
         self,
@@ -221,8 +279,8 @@ class Screening:
         free: np.ndarray,
         probed: Sequence[ProbedEffect],
         responses: Responses,
-    ) -> list[Candidate]:
-        """The best candidate of each effect to which the windows respond, the best effect first.
+    ) -> Scored:
+        """The best candidate of each effect to which the windows respond, with its probe.
 
         Responses that are missing are simulated and added.
         """
@@ -238,7 +296,7 @@ class Screening:
 
         # Of all probes of an effect, the one that promises most stands for it.
         self._add_responses(linearized, probed, responses)
-        best: dict[str, Candidate] = {}
+        best: Scored = {}
         for instance, probe in probed:
             changes = responses[instance.label, probe]
             whitened = _project_out(linearized.flat(changes), basis)
@@ -250,9 +308,9 @@ class Screening:
                 if candidate is None:
                     continue
                 best_so_far = best.get(instance.label)
-                if best_so_far is None or candidate.gain > best_so_far.gain:
-                    best[instance.label] = candidate
-        return sorted(best.values(), key=lambda candidate: -candidate.gain)
+                if best_so_far is None or candidate.gain > best_so_far[0].gain:
+                    best[instance.label] = (candidate, probe)
+        return best
 
     def _explained_by(self, linearized: LinearizedWindows, free: np.ndarray) -> Array | None:
         """An orthonormal basis (N, f) of what the free numbers of theta explain; None if nothing.
@@ -336,6 +394,12 @@ class Screening:
         return self.library.predict(within_bounds, linearized.windows)
 
 
+def _by_gain(scored: Scored) -> list[Candidate]:
+    """The candidates, the one that promises most first."""
+    candidates = [candidate for candidate, _ in scored.values()]
+    return sorted(candidates, key=lambda candidate: -candidate.gain)
+
+
 def _inside_bounds(library: Library, theta: Array, free: np.ndarray) -> np.ndarray:
     """Those of the free numbers (f,) of theta that are on no bound: the others cannot move."""
     space = library.simulator.space
@@ -390,6 +454,11 @@ def all_probes(instance: EffectInstance) -> list[Probe]:
     if len(instance.quantities) == 1 and instance.quantities[0].smooth:
         return coarse_probes(instance)
     return list(instance.trials)
+
+
+def _every_probe(instances: Sequence[EffectInstance]) -> list[ProbedEffect]:
+    """Effects that are among the best, with each of their probes."""
+    return [(instance, probe) for instance in instances for probe in all_probes(instance)]
 
 
 def _size(probe: Probe) -> float:
