@@ -54,7 +54,11 @@ class ArithmeticSettings:
     of_runge_kutta : tuple of Arithmetic
         Those of a model that is stepped by Runge and Kutta already.
     nearly : float
-        The cheapest is fitted that gains this fraction of what any gains.
+        The cheapest is fitted that gains this fraction of what any gains ...
+    stride : int
+        ... on one window of so many ...
+    fewest : int
+        ... if these are so many at least.
     finest : int
         A winner's steps are halved as long as that is confirmed, down to this part.
     further : float
@@ -68,6 +72,8 @@ class ArithmeticSettings:
     )
     of_runge_kutta: tuple[Arithmetic, ...] = (Arithmetic(2),)
     nearly: float = 0.95
+    stride: int = 4
+    fewest: int = 12
     finest: int = 8
     further: float = 0.1
 
@@ -167,16 +173,21 @@ class Rivals:
         return self.settings.rivals
 
     def _most_promising(self, simulator: RobotSimulator, state: State) -> tuple[Arithmetic, float]:
-        """The cheapest rival that gains nearly as much as any on the windows to fit, and its gain.
+        """The cheapest rival that gains nearly as much as any on some of the windows to fit, and
+        its gain.
 
         Nothing is fitted but the noise. The gain is -inf where none is known.
         """
-        before = float(state.train.log_likelihood.sum())
+        some = state.train
+        count = len(some.windows)
+        if count >= self.settings.stride * self.settings.fewest:
+            some = some.take(np.arange(0, count, self.settings.stride))
+        own = settle(self.library, some, NO_INDICES, self.floor, rounds=1)
+        before = float(own.log_likelihood.sum())
         gains = []
         for arithmetic in self._rivals(simulator):
             library = self._library(arithmetic.of(simulator))
-            noise = state.train.whiten.noise
-            train = shift_linearization(library, state.train, state.theta, noise)
+            train = shift_linearization(library, some, state.theta, some.whiten.noise)
             train = settle(library, train, NO_INDICES, self.floor, rounds=1)
             gains.append((arithmetic, float(train.log_likelihood.sum()) - before))
             simulator.steps += library.simulator.steps
@@ -191,11 +202,16 @@ class Rivals:
     def _tried(self, simulator: RobotSimulator, arithmetic: Arithmetic, state: State) -> State:
         """A model in other steps, the linearization in the start's noise as it is."""
         library = self._library(arithmetic.of(simulator))
+        settings = self.selection.refit
+        known = None
+        if len(state.free):
+            # More exact steps hardly change the Jacobian.
+            known = self.library.jacobian(state.theta, state.free, state.train.windows)
 
         def fit() -> Sides:
             noise = state.train.whiten.noise
             start = shift_linearization(library, state.train, state.theta, noise)
-            train = settle(library, start, state.free, self.floor, settings=self.selection.refit)
+            train = settle(library, start, state.free, self.floor, known=known, settings=settings)
             noise = train.whiten.noise
             return train, shift_linearization(library, state.test, train.theta, noise)
 

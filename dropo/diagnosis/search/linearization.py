@@ -390,7 +390,7 @@ def shift_linearization(
     lost = np.logical_or(linearized.lost, ~np.isfinite(predicted).all(axis=1))
     residuals = windows.measured - predicted - linearized.shift
     residuals[lost] = DIVERGED * np.tile(noise.sigma, windows.length)
-    whiten = whitener(library, windows, theta, noise, linearized.loadings)
+    whiten = whitener(library, windows, theta, noise, _loadings(library, linearized, noise))
     return replace(
         linearized, theta=theta, residuals=residuals, whiten=whiten, lost=lost, shifted=True
     )
@@ -422,8 +422,17 @@ def with_other_noise(
     windows = linearized.windows
     residuals = linearized.residuals.copy()
     residuals[linearized.lost] = DIVERGED * np.tile(noise.sigma, windows.length)
-    whiten = whitener(library, windows, theta, noise, linearized.loadings)
+    whiten = whitener(library, windows, theta, noise, _loadings(library, linearized, noise))
     return replace(linearized, residuals=residuals, whiten=whiten)
+
+
+def _loadings(library: Library, linearized: LinearizedWindows, noise: Noise) -> Array:
+    """The loadings of windows, with those of the steps' lengths where another noise has such."""
+    loadings = linearized.loadings
+    if not noise.timing or linearized.clocks:
+        return loadings
+    lengths = step_lengths(library, linearized.windows, loadings, noise.sigma)
+    return np.concatenate([loadings, lengths], axis=2)
 
 
 def whitener(

@@ -159,6 +159,16 @@ def with_noise(
         noise is quite another.
     """
     noise = estimate_noise(linearized, linearized.whiten.noise, floor)
+    return _under(library, linearized, noise, settings)
+
+
+def _under(
+    library: Library,
+    linearized: LinearizedWindows,
+    noise: Noise,
+    settings: RefitSettings = DEFAULTS,
+) -> LinearizedWindows:
+    """Windows under a noise, linearized anew where it is quite another."""
     ratios = np.abs(np.log(noise.sigma / linearized.whiten.sigma))
     if np.any(ratios > np.log(settings.other_noise)):
         return linearize(library, linearized.windows, linearized.theta, noise)
@@ -205,8 +215,7 @@ def other_noise(
         asked = [timing]
     best = good
     for noise in asked:
-        found = linearize(library, good.windows, good.theta, noise)
-        found = with_noise(library, found, floor)
+        found = with_noise(library, _under(library, good, noise), floor)
         gain = float(found.log_likelihood.sum() - best.log_likelihood.sum())
         if gain > settings.least_gain:
             best = found
@@ -276,6 +285,8 @@ class _Steps:
             close_by = self.settings.close
             return self.library.jacobian(linearized.theta, self.free, linearized.windows, close_by)
         first = 0 if self.known is None else len(self.known)
+        if self.known is not None and first == len(self.free):
+            return self.known
         own = self.library.jacobian(linearized.theta, self.free[first:], linearized.windows)
         return own if self.known is None else np.concatenate([self.known, own])
 

@@ -33,6 +33,7 @@ from dropo.diagnosis.search.linearization import (
     estimate_noise,
     linearize,
     shift_linearization,
+    with_other_noise,
 )
 from dropo.diagnosis.search.record import Sides, recorded_sides
 from dropo.diagnosis.search.refit import NO_INDICES, refit, settle, with_noise
@@ -125,7 +126,8 @@ class Selection:
                 " parameters at their nominal values. Check the model, the time step and the"
                 " units of the data."
             )
-        estimated = estimate_noise(some_linearized, noise, self.floor)
+        some_linearized = with_noise(library, some_linearized, self.floor, settings.refit)
+        estimated = estimate_noise(some_linearized, some_linearized.whiten.noise, self.floor)
 
         # All windows, with the noise that these have.
         linearized = linearize(library, train, theta, estimated)
@@ -395,11 +397,13 @@ class Selection:
         nonsmooth = nonsmooth_magnitudes(library, (instance,))
         start = shift_linearization(library, state.train, theta, state.train.whiten.noise)
         if instance.sensor_delay is not None:
-            # Without the delay, noise stands for it: the noise with it is a very different one.
+            # Without the delay, noise stands for it: the noise with it may be a very different one.
             noise = estimate_noise(start, start.whiten.noise, self.floor)
-            start = linearize(library, start.windows, theta, noise)
-            fitted = self._refit(start, free, nonsmooth=nonsmooth, renewals=1)
-            return fitted, self._linearize_held_out(fitted, state.test.windows)
+            start = with_other_noise(library, start, noise)
+            if has_less_noise(state.train, start, self.settings):
+                start = linearize(library, start.windows, theta, noise)
+                fitted = self._refit(start, free, nonsmooth=nonsmooth, renewals=1)
+                return fitted, self._linearize_held_out(fitted, state.test.windows)
         # Any other effect is tried with the linearization in the start's noise as it is.
         fitted = settle(
             library,

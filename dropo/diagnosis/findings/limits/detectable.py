@@ -175,7 +175,8 @@ def _smallest(
     for sign, most in room.items():
         if sign < 0 and most < probe:
             continue  # what cannot be less is asked for on one side
-        size = min(probe, most)
+        # Where the effect is the same either way, the size of the other sign is it.
+        size = min(max(sizes, default=probe), most)
         needed = None
         for _ in range(settings.rounds):
             squares = _squares(library, last, place, sign * size, basis)
