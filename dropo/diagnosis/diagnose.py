@@ -408,7 +408,7 @@ class Diagnose:
         if worse and not far_off and len(setup.worse) < self.settings.horizons.refused:
             further = _without_worse(setup, searched, *next(iter(worse.items())))
             return self._result(task, *further, progress)
-        errors = _errors_without_and_with(data, library, last, reviews)
+        errors = _errors_without_and_with(data, library, last, reviews, after if complete else ())
         found = causes(
             library,
             last,
@@ -576,8 +576,10 @@ class Diagnose:
         if found and setup.explained is None and len(last.free):
             # The numbers are not known exactly, which noise explains too.
             covariance = covariance_of(setup.library, last)
+            asked = {usual, *(one.steps for one in found)}
+            doubtful = [one for one in after if one.steps in asked]
             more = with_numbers(
-                setup.problem, setup.library, last, covariance, after, rng, settings.draws
+                setup.problem, setup.library, last, covariance, doubtful, rng, settings.draws
             )
             found = beyond_noise(more, 2, usual, settings)
         if not found:
@@ -1025,12 +1027,24 @@ def _without_trials(batch: Batch, refused: Collection[str]) -> Batch:
 
 
 def _errors_without_and_with(
-    problem: Problem, library: Library, last: State, reviews: Mapping[str, Review]
+    problem: Problem,
+    library: Library,
+    last: State,
+    reviews: Mapping[str, Review],
+    after: Sequence[AfterHorizon],
 ) -> list[tuple[float, float]]:
-    """For each accepted effect, the error on held-out data without it and with everything."""
+    """For each accepted effect, the error on held-out data without it and with everything.
+
+    after: of the model as it came, with its parameters fitted, with everything, and without each
+    effect; simulated where it lacks the windows' horizon.
+    """
+    for one in after:
+        if one.steps == last.train.windows.length:
+            _, _, everything, *without = (model.rmse for model in one.models)
+            return [(error, everything) for error in without]
     thetas = [reviews[instance.label].without.theta for instance in last.accepted]
-    *without, everything = errors_after(problem, library, [*thetas, last.theta], last)
-    return [(errors.overall, everything.overall) for errors in without]
+    *others, whole = errors_after(problem, library, [*thetas, last.theta], last)
+    return [(errors.overall, whole.overall) for errors in others]
 
 
 def _replayed(setup: _Setup, searched: _Searched) -> WholeRunReplay | None:

@@ -203,10 +203,8 @@ class Rivals:
         """A model in other steps, the linearization in the start's noise as it is."""
         library = self._library(arithmetic.of(simulator))
         settings = self.selection.refit
-        known = None
-        if len(state.free):
-            # More exact steps hardly change the Jacobian.
-            known = self.library.jacobian(state.theta, state.free, state.train.windows)
+        # More exact steps hardly change the Jacobian.
+        known = self.library.kept_jacobian(state.theta, state.free, state.train.windows)
 
         def fit() -> Sides:
             noise = state.train.whiten.noise

@@ -30,10 +30,13 @@ class DerivativeSettings:
         For a declared parameter, as a fraction of its search interval.
     of_probe : float
         For a magnitude of an effect, as a fraction of its smallest probe.
+    kept : int
+        So many Jacobians are kept for those who ask for the same again.
     """
 
     of_interval: float = 1e-3
     of_probe: float = 0.1
+    kept: int = 4
 
 
 DEFAULTS = DerivativeSettings()
@@ -62,6 +65,7 @@ class Library:
     declared: int
     differences: DerivativeSettings = DEFAULTS
     places: dict[str, np.ndarray] = field(init=False)
+    _kept: list[tuple[Windows, bytes, Array]] = field(init=False, default_factory=list)
 
     def __post_init__(self) -> None:
         self.places = {}
@@ -126,6 +130,8 @@ class Library:
         """
         space = self.simulator.space
         count = len(free)
+        if not count:
+            return np.zeros((0, len(windows), windows.measured.shape[1]))
         width = fraction * self.steps[free]
         upper = np.clip(theta[free] + width, space.low[free], space.high[free])
         lower = np.clip(theta[free] - width, space.low[free], space.high[free])
@@ -135,6 +141,27 @@ class Library:
         predicted = self.predict(values, windows)
         change = predicted[:count] - predicted[count:]
         return np.nan_to_num(change / (upper - lower)[:, None, None])
+
+    def kept_jacobian(self, theta: Array, free: np.ndarray, windows: Windows) -> Array:
+        """Differentiate the predictions, unless that was done here just before.
+
+        Parameters
+        ----------
+        theta, free, windows
+            As of `jacobian`.
+
+        Returns
+        -------
+        (f, W, n) array
+            One of the last few that this was asked for, or a new one.
+        """
+        key = theta.tobytes() + free.tobytes()
+        for own_windows, own_key, jacobian in self._kept:
+            if own_windows is windows and own_key == key:
+                return jacobian
+        jacobian = self.jacobian(theta, free, windows)
+        self._kept = [(windows, key, jacobian), *self._kept[: self.differences.kept - 1]]
+        return jacobian
 
 
 @dataclass(frozen=True, eq=False)

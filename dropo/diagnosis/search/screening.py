@@ -9,6 +9,7 @@ magnitudes of all effects.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -167,7 +168,10 @@ class Screening:
             some = linearized.take(np.arange(0, count, settings.coarse_stride))
             probed = self._first_choice(some, free, instances)
         # These are scored on all windows.
-        scored = self._score_all(linearized, free, probed, self._responses_of(linearized))
+        inside = _inside_bounds(self.library, linearized.theta, free)
+        jacobian = self.library.kept_jacobian(linearized.theta, inside, linearized.windows)
+        responses = self._responses_of(linearized)
+        scored = self._score_all(linearized, jacobian, probed, responses)
         self.best.update({label: probe for label, (_, probe) in scored.items()})
         return _by_gain(scored)
 
@@ -200,11 +204,13 @@ class Screening:
             probes = all_probes(instance) if best is None else [best]
             probed += [(instance, probe) for probe in probes]
         self._add_responses(linearized, probed, known)
+        inside = _inside_bounds(self.library, linearized.theta, free)
+        jacobian = self.library.kept_jacobian(linearized.theta, inside, linearized.windows)
         found = []
         for part in parts:
-            responses_of_part = {key: changes[:, part] for key, changes in known.items()}
-            windows = linearized.take(part)
-            found.append(_by_gain(self._score_all(windows, free, probed, responses_of_part)))
+            of_part = {key: changes[:, part] for key, changes in known.items()}
+            own = linearized.take(part)
+            found.append(_by_gain(self._score_all(own, jacobian[:, part], probed, of_part)))
         return found
 
     def _responses_of(self, linearized: LinearizedWindows) -> Responses:
@@ -230,12 +236,14 @@ class Screening:
         coarse = [(instance, probe) for instance in instances for probe in coarse_probes(instance)]
 
         def choose() -> list[ProbedEffect]:
+            inside = _inside_bounds(self.library, some.theta, free)
+            jacobian = self.library.jacobian(some.theta, inside, some.windows)
             self._remember(first, coarse)
-            ranked = _by_gain(self._score_all(some, free, coarse, self.remembered))
+            ranked = _by_gain(self._score_all(some, jacobian, coarse, self.remembered))
             finalists = [candidate.instance for candidate in ranked[: self.settings.finalists]]
             every = _every_probe(finalists)
             self._remember(first, every)
-            scored = self._score_all(some, free, every, self.remembered)
+            scored = self._score_all(some, jacobian, every, self.remembered)
             probes = {label: probe for label, (_, probe) in scored.items()}
             ordered = [candidate.instance for candidate in _by_gain(scored)]
             return [(instance, probes[instance.label]) for instance in ordered]
@@ -276,19 +284,20 @@ class Screening:
     def _score_all(
         self,
         linearized: LinearizedWindows,
-        free: np.ndarray,
+        jacobian: Array,
         probed: Sequence[ProbedEffect],
         responses: Responses,
     ) -> Scored:
         """The best candidate of each effect to which the windows respond, with its probe.
 
-        Responses that are missing are simulated and added.
+        jacobian: (f, W, n) by the free numbers of theta. Responses that are missing are simulated
+        and added.
         """
         library = self.library
         theta = linearized.theta
         # Whatever the free numbers of theta explain is no evidence of an effect: project it out of
         # the whitened residuals, and below out of the whitened responses.
-        basis = self._explained_by(linearized, free)
+        basis = _explained_by(linearized, jacobian)
         residuals = _project_out(linearized.flat(linearized.residuals), basis)
         measurements = max(linearized.residuals[~linearized.lost].size, 1)
         mean_square = float(residuals @ residuals) / measurements
@@ -311,19 +320,6 @@ class Screening:
                 if best_so_far is None or candidate.gain > best_so_far[0].gain:
                     best[instance.label] = (candidate, probe)
         return best
-
-    def _explained_by(self, linearized: LinearizedWindows, free: np.ndarray) -> Array | None:
-        """An orthonormal basis (N, f) of what the free numbers of theta explain; None if nothing.
-
-        The N rows are those of `LinearizedWindows.flat`; numbers on a bound are left out.
-        """
-        library = self.library
-        inside = _inside_bounds(library, linearized.theta, free)
-        if not len(inside):
-            return None
-        jacobian = library.jacobian(linearized.theta, inside, linearized.windows)
-        basis, _ = np.linalg.qr(linearized.flat(jacobian).T)
-        return np.asarray(basis)
 
     def _with_new_noise(
         self,
@@ -364,11 +360,46 @@ class Screening:
         probed: Sequence[ProbedEffect],
         responses: Responses,
     ) -> None:
-        """Simulate the responses that are missing, and add them."""
-        missing = []
+        """Simulate the responses that are missing, and add them.
+
+        Of an effect that sets in or grows, the effect that always holds is simulated: a window
+        responds with the part that holds there.
+        """
+        missing: dict[tuple[str, Probe], ProbedEffect] = {}
+        in_part: list[tuple[ProbedEffect, ProbedEffect]] = []
         for instance, probe in probed:
-            if (instance.label, probe) not in responses:
-                missing.append((instance, probe))
+            if (instance.label, probe) in responses:
+                continue
+            simulated = (instance, probe)
+            constant = self._constant(instance)
+            if constant is not None:
+                count = len(constant.quantities)
+                simulated = (constant, tuple(magnitudes[:count] for magnitudes in probe))
+                in_part.append(((instance, probe), simulated))
+            key = (simulated[0].label, simulated[1])
+            if key not in responses:
+                missing[key] = simulated
+        self._simulate(linearized, list(missing.values()), responses)
+        segments = linearized.windows.segments
+        for (instance, probe), (constant, whole) in in_part:
+            profile: Any = instance.time_profile
+            parts = np.stack([profile(segments, np.array(one)) for one in probe])
+            responses[instance.label, probe] = parts[:, :, None] * responses[constant.label, whole]
+
+    def _constant(self, instance: EffectInstance) -> EffectInstance | None:
+        """The effect that always holds of one that sets in or grows; None where there is none."""
+        if instance.time_profile is None:
+            return None
+        labels = (one for one in self.library.instances if one.label == instance.target)
+        return next(labels, None)
+
+    def _simulate(
+        self,
+        linearized: LinearizedWindows,
+        missing: Sequence[ProbedEffect],
+        responses: Responses,
+    ) -> None:
+        """Simulate responses, and add them."""
         for start in range(0, len(missing), self.settings.batch):
             batch = missing[start : start + self.settings.batch]
             predicted = self._predictions(linearized, batch)
@@ -398,6 +429,17 @@ def _by_gain(scored: Scored) -> list[Candidate]:
     """The candidates, the one that promises most first."""
     candidates = [candidate for candidate, _ in scored.values()]
     return sorted(candidates, key=lambda candidate: -candidate.gain)
+
+
+def _explained_by(linearized: LinearizedWindows, jacobian: Array) -> Array | None:
+    """An orthonormal basis (N, f) of what a Jacobian (f, W, n) explains; None if nothing.
+
+    The N rows are those of `LinearizedWindows.flat`.
+    """
+    if not len(jacobian):
+        return None
+    basis, _ = np.linalg.qr(linearized.flat(jacobian).T)
+    return np.asarray(basis)
 
 
 def _inside_bounds(library: Library, theta: Array, free: np.ndarray) -> np.ndarray:

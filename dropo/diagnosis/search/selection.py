@@ -312,7 +312,7 @@ class Selection:
         # The Jacobian by what is fitted already serves all candidates.
         jacobian: Array | None = None
         if len(state.free) and candidates:
-            jacobian = self.library.jacobian(state.theta, state.free, state.train.windows)
+            jacobian = self.library.kept_jacobian(state.theta, state.free, state.train.windows)
         trials = []
         for i, candidate in enumerate(candidates):
             part_of_batch = (1 + i) / (1 + len(candidates))

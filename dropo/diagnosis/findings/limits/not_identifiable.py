@@ -29,6 +29,6 @@ def undetermined(library: Library, last: State) -> tuple[str, ...]:
     train = last.train
     parameters = list(library.simulator.space)
     own = ParameterSpace(tuple(parameters[i] for i in last.free))
-    jacobian = train.flat(library.jacobian(train.theta, last.free, train.windows))
+    jacobian = train.flat(library.kept_jacobian(train.theta, last.free, train.windows))
     directions = null_directions(own, jacobian.T[:, None, :], np.ones(1))
     return tuple(sentences(own, train.theta[last.free], directions))
