@@ -72,6 +72,27 @@ class ArithmeticSettings:
 SETTINGS = ArithmeticSettings()
 
 
+def rivals_of(
+    simulator: RobotSimulator, settings: ArithmeticSettings = SETTINGS
+) -> tuple[Arithmetic, ...]:
+    """Return the more exact steps of a model with its integrator, the cheapest first.
+
+    Parameters
+    ----------
+    simulator : RobotSimulator
+        Of the model.
+    settings : ArithmeticSettings
+        Which there are.
+
+    Returns
+    -------
+    tuple of Arithmetic
+    """
+    if integrator(simulator.model) == "RK4":
+        return settings.of_runge_kutta
+    return settings.rivals
+
+
 @dataclass(eq=False)
 class Rivals:
     """More exact steps, each time beside the effect that a search would accept next.
@@ -135,7 +156,7 @@ class Rivals:
             return False
         rival = self._fitted(simulator, arithmetic, state)
         gained = float((state.test.log_likelihood - self.first.test.log_likelihood).sum())
-        needed = self.selection.needed_gain(len(self._rivals(simulator)))
+        needed = self.selection.needed_gain(len(rivals_of(simulator, self.settings)))
         needed = max(needed, self.selection.minimum_fraction * gained)
         if not is_confirmed(state.test, rival.test, needed, self.selection):
             return False
@@ -148,12 +169,6 @@ class Rivals:
         self.winner = self._refined(simulator, arithmetic, rival, needed)
         return True
 
-    def _rivals(self, simulator: RobotSimulator) -> tuple[Arithmetic, ...]:
-        """Those of a model with its integrator."""
-        if integrator(simulator.model) == "RK4":
-            return self.settings.of_runge_kutta
-        return self.settings.rivals
-
     def _most_promising(self, simulator: RobotSimulator, state: State) -> tuple[Arithmetic, float]:
         """The cheapest rival that gains nearly as much as any on the windows to fit, and its gain.
 
@@ -161,7 +176,7 @@ class Rivals:
         """
         before = float(state.train.log_likelihood.sum())
         gains = []
-        for arithmetic in self._rivals(simulator):
+        for arithmetic in rivals_of(simulator, self.settings):
             library = self._library(arithmetic.of(simulator))
             noise = state.train.whiten.noise
             train = shift_linearization(library, state.train, state.theta, noise)
