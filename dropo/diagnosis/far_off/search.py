@@ -304,11 +304,14 @@ class FarOffSearch:
         simulator = model.library.simulator
         if model.arithmetic is not None or not isinstance(simulator, RobotSimulator):
             return model
+        rivals = rivals_of(simulator, self.settings.steps)
+        if not rivals:
+            return model
         self.progress(0.22, "more exact physics steps")
         error = self._error(model, sides.few)
         end = error.linearize(model.theta, model.fitted)
         left = []
-        for arithmetic in rivals_of(simulator, self.settings.steps):
+        for arithmetic in rivals:
             other = self._error(replace(model, arithmetic=arithmetic), sides.few)
             left.append((error.left_after_step(end, other.judged(model.theta)), arithmetic))
         # The cheapest of those that promise nearly as much as any.
