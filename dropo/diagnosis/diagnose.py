@@ -47,9 +47,10 @@ from dropo.diagnosis.findings.premises.miswired import miswired
 from dropo.diagnosis.findings.premises.numerics import numerics, refused_delay, short_delay
 from dropo.diagnosis.findings.premises.still import Held, hold_still
 from dropo.diagnosis.findings.remains.disturbances import left_out, outlier_runs
-from dropo.diagnosis.findings.remains.remaining import remaining
+from dropo.diagnosis.findings.remains.remaining import are_measured, remaining
 from dropo.diagnosis.findings.remains.unexplained_forces import impulses, without_impulses
 from dropo.diagnosis.findings.stability import stability
+from dropo.diagnosis.findings.to_type import to_type
 from dropo.diagnosis.laws.discovery import LawSettings, WithLaws, find_laws
 from dropo.diagnosis.parts import Cause, Leader, Remaining
 from dropo.diagnosis.regression.quick import QuickSettings
@@ -74,7 +75,11 @@ from dropo.diagnosis.search.window_length import (
 )
 from dropo.diagnosis.search.windows import Windows, split, spread_of
 from dropo.evaluation.held_out import SETTINGS as HELD_OUT
+from dropo.evaluation.held_out import HeldOutSettings
 from dropo.mjmodel.options import physics_step
+
+EACH = HeldOutSettings(maximum=120, maximum_steps=1200, minimum=10)
+"""A quarter of the usual windows."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +115,12 @@ class DiagnosisSettings:
     longest : int
         Control steps at most of the windows by which such a model is judged ...
     judged : int
-        ... and about how many there are on each side.
+        ... and about how many there are on each side ...
+    exactly : int
+        ... or, where more exact physics steps are taken, which cost several times as much.
+    each : HeldOutSettings
+        By which windows it is judged whether such a model predicts as well without one of its many
+        effects.
     """
 
     windows: int = 96
@@ -120,6 +130,8 @@ class DiagnosisSettings:
     motions: FarOffSettings = field(default_factory=FarOffSettings)
     longest: int = 50
     judged: int = 48
+    exactly: int = 24
+    each: HeldOutSettings = field(default_factory=lambda: EACH)
     selection: SelectionSettings = field(default_factory=SelectionSettings)
     window_length: WindowLengthSettings = field(default_factory=WindowLengthSettings)
     noise: WhitenessSettings = field(default_factory=WhitenessSettings)
@@ -334,7 +346,8 @@ class Diagnose:
         library = Library(simulator.with_effects(everything), everything, len(problem.space))
         windows = self._windows(problem)
         if explained is not None:
-            windows = min(windows, self.settings.judged)
+            most = self.settings.judged if explained.own_steps else self.settings.exactly
+            windows = min(windows, most)
         train, test = split(problem, length, windows)
         _refuse_constant(problem, train)
         estimated = problem.estimated if explained is None else ()
@@ -402,9 +415,9 @@ class Diagnose:
         # How good each model is on data held out.
         (draws,) = task.rng.spawn(1)
         withouts = [reviews[one.label].without.theta for one in last.accepted] if complete else []
-        thetas = [nominal_of(library), first.theta, last.theta, *withouts]
-        after = after_horizons(data, library, thetas, last, draws)
-        worse = self._worse(after, searched)
+        thetas = [nominal_of(library), first.theta, last.theta]
+        after, of_each = self._errors_after(setup, last, thetas, withouts, draws)
+        worse = self._worse(of_each, searched)
         if worse and not far_off and len(setup.worse) < self.settings.horizons.refused:
             further = _without_worse(setup, searched, *next(iter(worse.items())))
             return self._result(task, *further, progress)
@@ -441,6 +454,7 @@ class Diagnose:
         shown = motion(data, library, first, last, fitted, with_causes)
         compared = self.disturbances and not (rest.calibrated or far_off) and complete
         verdict = _verdict(found, not rest.calibrated)
+        fitted_parameters = dict(zip(data.space.names, declared.tolist(), strict=True))
         return Diagnosis(
             name=data.name,
             verdict=verdict,
@@ -462,7 +476,7 @@ class Diagnose:
             },
             window_steps=setup.train.length,
             nominal=nominal if len(setup.free) and not far_off else (),
-            parameters=dict(zip(data.space.names, declared.tolist(), strict=True)),
+            parameters=fitted_parameters,
             undetermined=(*undetermined(library, last), *setup.ties),
             numerics=(
                 *numerics(
@@ -480,6 +494,7 @@ class Diagnose:
             )
             if complete
             else (),
+            to_type=to_type(task.came, extended, fitted_parameters),
             disturbances=None if undisturbed is None else left_out(undisturbed, inside),
             outlier_runs=outlier_runs(data, extended, declared) if compared else (),
             replay=_replayed(setup, searched) if far_off and complete else None,
@@ -488,7 +503,7 @@ class Diagnose:
             warnings=(
                 *data.warnings,
                 *setup.warnings_of(last),
-                *_not_white(library, last),
+                *_not_white(library, last, data.estimated),
                 *beyond,
             ),
             simulator_steps=spent + library.simulator.steps,
@@ -541,6 +556,26 @@ class Diagnose:
         setup = replace(setup, selection=laws.selection, library=laws.selection.library)
         return setup, _Searched(laws.first, laws.last, laws.reviews, laws=laws)
 
+    def _errors_after(
+        self,
+        setup: "_Setup",
+        last: State,
+        thetas: Sequence[Array],
+        withouts: Sequence[Array],
+        rng: np.random.Generator,
+    ) -> tuple[list[AfterHorizon], list[AfterHorizon]]:
+        """The errors of models after every horizon, then those of others too.
+
+        Of a model that is far off the others are many: they are compared in fewer windows.
+        """
+        data, library = setup.problem, setup.library
+        if setup.explained is None:
+            after = after_horizons(data, library, [*thetas, *withouts], last, rng)
+            return after, after
+        after = after_horizons(data, library, thetas, last, rng)
+        few = self.settings.each
+        return after, after_horizons(data, library, [*thetas, *withouts], last, rng, few)
+
     def _worse(self, after: Sequence[AfterHorizon], searched: "_Searched") -> dict[str, Leader]:
         """The effects with which errors after some horizon are larger than without, by label.
 
@@ -569,10 +604,11 @@ class Diagnose:
         windows say; and what to do then, a sentence each.
         """
         settings = self.settings.horizons
-        # The noise of velocities that were estimated, and of control steps, is known in windows.
+        # The noise of starts that were estimated, and of control steps, is known in windows.
         other_noise = bool(setup.problem.estimated) or last.train.whiten.noise.timing > 0
         usual = setup.train.length if other_noise else None
-        found = beyond_noise(after, 2, usual, settings)
+        measured = are_measured(setup.problem)
+        found = beyond_noise(after, 2, usual, settings, measured=measured)
         if found and setup.explained is None and len(last.free):
             # The numbers are not known exactly, which noise explains too.
             covariance = covariance_of(setup.library, last)
@@ -581,7 +617,7 @@ class Diagnose:
             more = with_numbers(
                 setup.problem, setup.library, last, covariance, doubtful, rng, settings.draws
             )
-            found = beyond_noise(more, 2, usual, settings)
+            found = beyond_noise(more, 2, usual, settings, measured=measured)
         if not found:
             return rest, ()
         told = _beyond(found, rest, setup.train.length)
@@ -1066,16 +1102,20 @@ def _refuse_constant(problem: Problem, train: Windows) -> None:
             )
 
 
-def _not_white(library: Library, last: State) -> tuple[str, ...]:
-    """What noise was taken for, where it is not white: a wrong model may look like it."""
+def _not_white(library: Library, last: State, estimated: Collection[str]) -> tuple[str, ...]:
+    """What noise was taken for, where it is not white: a wrong model may look like it.
+
+    estimated: signals whose errors follow each other by the way they were estimated.
+    """
     noise = last.train.whiten.noise
     told = []
-    for signal, rho in zip(library.simulator.signals, noise.rho, strict=True):
-        if rho:
-            told.append(
-                f"errors of {signal.name} follow each other, {rho:.2f} of each in the next, and "
-                "are taken for the sensor's"
-            )
+    following = [
+        f"{signal.name} ({rho:.2f} of each in the next)"
+        for signal, rho in zip(library.simulator.signals, noise.rho, strict=True)
+        if rho and signal.name not in estimated
+    ]
+    if following:
+        told.append(f"errors follow each other in {', '.join(following)}: taken for the sensors'")
     if noise.timing:
         told.append(
             f"control steps seem to differ in length by {noise.timing:.1%} (a standard deviation), "

@@ -1,6 +1,6 @@
 """What a diagnosis found: the verdict, the causes, what they gain, what remains."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,12 +13,15 @@ from dropo.core.records.predictions import Predictions
 from dropo.core.services.files.atomic_write import write_json
 from dropo.core.services.tables import Report, Table, number, steps_text
 from dropo.data.outliers.outlier_runs import OutlierRun
-from dropo.diagnosis.findings.accuracy.horizons import Horizon
+from dropo.diagnosis.findings.accuracy.horizons import OF_MOTION, Horizon
 from dropo.diagnosis.findings.accuracy.replay import WholeRunReplay
 from dropo.diagnosis.findings.limits.detectable import Detectable, detectable_table
 from dropo.diagnosis.findings.remains.disturbances import LeftOut
 from dropo.diagnosis.parts import Cause, Leader, Remaining, Suspect, are_stated
 from dropo.diagnosis.regression.result import WiringFault, fault_table
+
+SELDOM = 0.005
+"""Fraction of errors below which it is not said that motion is lost."""
 
 VERDICTS = {
     "consistent": "The simulation explains the data: nothing is missing that they could show.",
@@ -98,6 +101,8 @@ class Diagnosis(Report):
         What the data do not determine of the numbers that were fitted, a sentence each.
     numerics : tuple of str
         Where the model's arithmetic decides (its step, friction that creeps), a sentence each.
+    to_type : tuple of str
+        The elements of the model's MJCF with what was found, a line each.
     disturbances : LeftOut or None
         Spans in which something acts that no command explains, which were left out.
     outlier_runs : tuple of OutlierRun
@@ -140,6 +145,7 @@ class Diagnosis(Report):
     parameters: Mapping[str, float] = field(default_factory=dict)
     undetermined: tuple[str, ...] = ()
     numerics: tuple[str, ...] = ()
+    to_type: tuple[str, ...] = ()
     disturbances: LeftOut | None = None
     outlier_runs: tuple[OutlierRun, ...] = ()
     replay: WholeRunReplay | None = None
@@ -192,30 +198,52 @@ class Diagnosis(Report):
             return " ".join([*(fault.sentences for fault in self.faults), MISWIRED])
         sentences = [self._error_sentence()] if self.baseline.horizons else []
         for cause in self.causes:
-            sentences += _cause_sentences(cause, stated=cause in self.stated)
-        sentences.append(INTERRUPTED if self.interrupted else VERDICTS[self.verdict])
+            sentences += [self._cause_sentence(cause), *_doubts(cause)]
+        return " ".join([*sentences, *self._verdict_sentences()])
+
+    def _cause_sentence(self, cause: Cause) -> str:
+        """What one cause is, and how large."""
+        return f"{'Cause' if cause in self.stated else 'Acts like'}: {cause.sentence}."
+
+    def _verdict_sentences(self) -> list[str]:
+        """What the causes explain, where something remains, and what was left out."""
+        sentences = [INTERRUPTED if self.interrupted else VERDICTS[self.verdict]]
         if self.verdict in ("partly", "unexplained") and self.remaining.where:
             sentences.append(f"It shows in {'; '.join(self.remaining.where)}.")
         if self.disturbances:
             sentences.append(f"Left out: {self.disturbances}.")
         sentences += [f"{str(run).capitalize()}." for run in self.outlier_runs]
-        return " ".join(sentences)
+        return sentences
 
-    def _error_sentence(self) -> str:
-        """How far the simulation is off, where that stands out most from the noise.
+    def _most(self) -> tuple[float, int, str, float, float] | None:
+        """Where the simulation stands out most from the noise: how many times, after how many
+        steps, in which unit, its error there and the noise's.
 
-        Horizons count as long as the simulation follows the motion at all.
+        Horizons count as long as the simulation follows the motion at all; None if it diverges.
         """
         horizons = [one for one in self.baseline.horizons if np.isfinite(one.rmse)]
         if not horizons:
-            return "On held-out data the simulation diverges."
+            return None
         followed = [horizon for horizon in horizons if horizon.rmse < 1] or horizons
         found = []
         for horizon in followed:
-            for unit, (error, noise) in horizon.units.items():
+            for unit, (_, noise) in horizon.units.items():
+                error = horizon.capped[unit]
                 ratio = error / max(noise, 1e-300)
                 found.append((ratio, horizon.steps, unit, error, noise))
-        _, steps, unit, error, noise = max(found)
+        return max(found)
+
+    def _shown_steps(self) -> int:
+        """After how many steps errors are shown by signal."""
+        most = self._most()
+        return self.baseline.horizons[0].steps if most is None else most[1]
+
+    def _error_sentence(self) -> str:
+        """How far the simulation is off, where that stands out most from the noise."""
+        most = self._most()
+        if most is None:
+            return "On held-out data the simulation diverges."
+        _, steps, unit, error, noise = most
         factor = 1.0
         shown = unit
         if unit in ("m", "rad", "m/s", "rad/s") and error < 0.1:
@@ -227,24 +255,28 @@ class Diagnosis(Report):
             f"On held-out data the simulation is off by {off}; sensor noise explains {explained}."
         )
 
-    def _error_table(self) -> Table:
-        """For each horizon a row of all signals' errors, in units of the motion, and one a unit."""
+    def _error_tables(self) -> list[Table]:
+        """The errors by horizon, then by signal after the horizon at which they stand out."""
         models = [("as it is", self.baseline.horizons)]
         if self.nominal:
             models = [("as it came", self.nominal), ("fitted", self.baseline.horizons)]
         if self.causes:
             models.append(("with what was found", self.extended.horizons))
-        rows = []
-        for at in zip(*(horizons for _, horizons in models), strict=True):
-            last = at[-1]
-            of_motion = [_percent(horizon.rmse) for horizon in at]
-            label = steps_text(last.steps, last.seconds)
-            rows.append((label, "of the motion", *of_motion, f"{last.noise:.2%}"))
-            for unit, (_, noise) in last.units.items():
-                errors = [_number(horizon.units[unit][0]) for horizon in at]
-                rows.append(("", unit, *errors, number(noise, 3)))
-        header = ("after", "unit", *(name for name, _ in models), "by sensor noise")
-        return Table("Errors on held-out data", header, tuple(rows))
+        by_horizon = list(zip(*(horizons for _, horizons in models), strict=True))
+        rows = [row for at in by_horizon for row in _error_rows(at)]
+        names = [name for name, _ in models]
+        header = ("after", "unit", *names, "by sensor noise")
+        tables = [Table("Errors on held-out data", header, tuple(rows))]
+        signals = self.problem.simulator.signals
+        if self.replay or len(signals) <= len(by_horizon[0][0].units):
+            return tables
+        at = next(one for one in by_horizon if one[0].steps == self._shown_steps())
+        sizes = [
+            (signal.name, signal.unit, *(_number(horizon.capped_by_signal[i]) for horizon in at))
+            for i, signal in enumerate(signals)
+        ]
+        title = f"By signal, after {steps_text(at[0].steps, at[0].seconds)}"
+        return [*tables, Table(title, ("signal", "unit", *names), tuple(sizes))]
 
     def to_pandas(self) -> Any:
         """A pandas.DataFrame with a row for each quantity of each cause; empty without causes."""
@@ -298,6 +330,7 @@ class Diagnosis(Report):
             "undetermined": list(self.undetermined),
             "detectable": [one.to_json() for one in self.detectable],
             "numerics": list(self.numerics),
+            "to_type": list(self.to_type),
             "warnings": list(self.warnings),
             "seed": self.seed,
             "version": __version__,
@@ -322,12 +355,16 @@ class Diagnosis(Report):
         write_json(folder / "diagnosis.json", self.to_json())
 
     def parts(self) -> list[str | Table]:
-        """The headline, the errors by horizon, and what else is to be said, a line each."""
-        lines: list[str | Table] = [self.headline()]
+        """A line each cause, the verdict, what to type into the model, the errors, the evidence."""
         if self.faults:
-            lines.append(fault_table(self.faults))
+            return [self.headline(), fault_table(self.faults), *self._warnings()]
+        lines: list[str | Table] = [self._error_sentence()] if self.baseline.horizons else []
+        lines += [self._cause_sentence(cause) for cause in self.causes]
+        lines.append(" ".join(self._verdict_sentences()))
+        if self.to_type:
+            lines += ["Type into the model:", *(f"  {line}" for line in self.to_type)]
         if self.baseline.horizons:
-            lines.append(self._error_table())
+            lines += self._error_tables()
         if self.detectable:
             lines.append(detectable_table(self.detectable))
         if self.replay:
@@ -335,15 +372,50 @@ class Diagnosis(Report):
             lines += [f"  {one}" for one in self.replay.odd()]
         if self.disturbances:
             lines += self.disturbances.lines()
-        lines += [f"  {text}" for text in (*self.numerics, *self.undetermined)]
-        lines += [f"  suspect: {suspect.label}" for suspect in self.suspects]
-        lines += [f"  {leader.sentence}" for leader in self.leaders]
-        return [*lines, *(f"warning: {text}" for text in self.warnings)]
+        lines += [f"  {text}" for text in self._evidence()]
+        return [*lines, *self._warnings()]
+
+    def _evidence(self) -> list[str]:
+        """What is to be said beside the causes, a line each."""
+        doubts = [
+            f"{cause.place}: {' '.join(_doubts(cause))}" for cause in self.causes if _doubts(cause)
+        ]
+        suspects = ", ".join(suspect.label for suspect in self.suspects)
+        return [
+            *doubts,
+            *self.numerics,
+            *self.undetermined,
+            *([f"suspects, not confirmed: {suspects}"] if suspects else []),
+            *(leader.sentence for leader in self.leaders),
+        ]
+
+    def _warnings(self) -> list[str]:
+        """What is unusual, a line each."""
+        return [f"warning: {text}" for text in self.warnings]
 
 
-def _percent(error: float) -> str:
-    """An error as a fraction of the motion."""
-    return f"{error:.2%}" if np.isfinite(error) else "diverges"
+def _error_rows(at: Sequence[Horizon]) -> Iterator[tuple[str, ...]]:
+    """Rows of several models after one horizon: of all signals, in units of the motion, then of
+    each unit. An error counts no more than motion that is lost.
+    """
+    last = at[-1]
+    label = steps_text(last.steps, last.seconds)
+    yield (label, OF_MOTION, *map(_of_motion, at), f"{last.noise:.2%}")
+    for unit, (_, noise) in last.units.items():
+        yield ("", unit, *(_capped(horizon, unit) for horizon in at), number(noise, 3))
+
+
+def _of_motion(horizon: Horizon) -> str:
+    """An error as a fraction of the motion, and how often that is lost."""
+    if not np.isfinite(horizon.rmse):
+        return "diverges"
+    lost = f" ({horizon.lost:.0%} lost)" if horizon.lost >= SELDOM else ""
+    return f"{horizon.capped[OF_MOTION]:.2%}{lost}"
+
+
+def _capped(horizon: Horizon, unit: str) -> str:
+    """An error in its unit."""
+    return number(horizon.capped[unit], 3) if np.isfinite(horizon.rmse) else "diverges"
 
 
 def _number(error: float) -> str:
@@ -351,12 +423,9 @@ def _number(error: float) -> str:
     return number(error, 3) if np.isfinite(error) else "diverges"
 
 
-def _cause_sentences(cause: Cause, *, stated: bool) -> list[str]:
-    """The cause, what differs with its size, and what it cannot be distinguished from.
-
-    stated: whether it is one of `Diagnosis.stated`.
-    """
-    sentences = [f"{'Cause' if stated else 'Acts like'}: {cause.sentence}."]
+def _doubts(cause: Cause) -> list[str]:
+    """What differs with a cause's size, and what it cannot be distinguished from."""
+    sentences = []
     if cause.acts_like:
         sentences.append(f"Its size differs with {cause.acts_like}.")
     doubt = None if cause.stability is None else cause.stability.doubt()

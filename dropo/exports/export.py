@@ -16,9 +16,9 @@ from dropo.core.services.registry import find
 from dropo.core.services.tables import Report, Table
 from dropo.exports.support.subject import Subject, Written, simulator_of, subject_of_fit
 from dropo.mjmodel.files.loading import model_sum
-from dropo.problems.file.model_assets import with_assets_beside
 from dropo.problems.file.verification import values_of
 from dropo.problems.loading import load
+from dropo.simulators.mujoco.model_assets import with_assets_beside
 
 RECORD = "export.json"
 """What an export wrote, by which the next one knows its own files."""

@@ -121,7 +121,7 @@ def add_velocities(
         Cleaned and aligned.
     robot : ModelJoints
         The joints and actuators of the model.
-    settings : NoiseSettings, optional
+    settings : LoggedNoiseSettings, optional
         From how much of the log noise levels are estimated.
 
     Returns
@@ -162,7 +162,7 @@ def compare_velocities(
     ----------
     run : LogRun
         Cleaned.
-    settings : NoiseSettings, optional
+    settings : LoggedNoiseSettings, optional
         From how much of the run.
 
     Returns

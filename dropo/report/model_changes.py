@@ -1,14 +1,13 @@
 """What to type into a model's MJCF: the first model against the extended one."""
 
 import difflib
-import xml.etree.ElementTree as ET
-from collections.abc import Iterator
 from html import escape
 from pathlib import Path
 from typing import Any
 
 from dropo.core.services.files.strict_yaml import read_yaml
 from dropo.diagnosis.parts import effect_in_words
+from dropo.mjmodel.files.changes import changed_elements
 from dropo.report.folder import Result
 from dropo.report.page import notes, plain
 
@@ -16,8 +15,6 @@ FIRST = "before.xml"
 """The model without what was found, beside the extended one."""
 LAST = "model.xml"
 PROBLEM = "problem.yaml"
-KEYS = ("name", "class", "joint", "site", "tendon", "body", "type", "geom1", "geom2")
-"""Attributes by which an element is known, the first that it has."""
 
 
 def changes_part(result: Result) -> str:
@@ -50,63 +47,6 @@ def changes_part(result: Result) -> str:
         body += "</details>"
     remarks.append("Both files are in `extended/`: before.xml and model.xml.")
     return body + notes(remarks)
-
-
-def changed_elements(old: str, new: str) -> Iterator[str]:
-    """List the elements that differ, as lines to type.
-
-    Parameters
-    ----------
-    old, new : str
-        Two MJCF files with the same elements in the same order, but for new ones.
-
-    Yields
-    ------
-    str
-        A place as a comment, then the element with its new attributes, such as
-        `<joint name="elbow" frictionloss="0.05"/>`.
-    """
-    before = dict(_elements(ET.fromstring(old)))
-    for path, element in _elements(ET.fromstring(new)):
-        kept = before.get(path)
-        had = {} if kept is None else kept.attrib
-        new_ones = {key: value for key, value in element.attrib.items() if had.get(key) != value}
-        gone = [key for key in had if key not in element.attrib]
-        if not new_ones and not gone and kept is not None:
-            continue
-        known = next(((key, had[key]) for key in KEYS if key in had and key not in new_ones), None)
-        shown = ({known[0]: known[1]} if known else {}) | new_ones
-        text = " ".join(f'{key}="{value}"' for key, value in shown.items())
-        was = [f'{key}="{had[key]}"' for key in new_ones if key in had]
-        was += [f'{key}="{had[key]}", now without' for key in gone]
-        added = [key for key in new_ones if key not in had]
-        remark = "was " + ", ".join(was) if was else ""
-        if added:
-            remark += f"{'; ' * bool(remark)}new: {', '.join(added)}"
-        if kept is None:
-            remark = "new element"
-        yield f"<!-- {' > '.join(_readable(path))}: {remark} -->"
-        yield f"<{element.tag} {text}/>"
-
-
-def _elements(
-    element: ET.Element, above: tuple[str, ...] = ()
-) -> Iterator[tuple[tuple[str, ...], ET.Element]]:
-    """Every element with its path, whose steps hold a name, or a number among their kind."""
-    seen: dict[str, int] = {}
-    for child in element:
-        name = next((child.attrib[key] for key in KEYS[:1] if key in child.attrib), "")
-        seen[child.tag] = seen.get(child.tag, 0) + 1
-        path = (*above, f"{child.tag} {name or seen[child.tag]}")
-        yield path, child
-        yield from _elements(child, path)
-
-
-def _readable(path: tuple[str, ...]) -> list[str]:
-    """The steps of a path that say something: those with names, and the last."""
-    steps = [step for step in path[:-1] if not step.rpartition(" ")[2].isdigit()]
-    last = path[-1].rpartition(" ")
-    return [*steps, last[0] if last[2] == "1" else path[-1]][-3:]
 
 
 def _shortened(old: str, new: str) -> list[str]:

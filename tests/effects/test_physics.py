@@ -9,7 +9,7 @@ import pytest
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.registry import find
-from dropo.problems.file.model_xml import format_model
+from dropo.simulators.mujoco.model_xml import format_model
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 from tests.models.effects_on_arm import instance, observed, predicted, same
 from tests.models.robots import ARM, CART, CUBE, ROBOTS, STRANGE

@@ -6,7 +6,7 @@ import pytest
 
 from dropo.core.records.trajectories import Trajectories
 from dropo.mjmodel.dynamics.holding_friction import holds
-from dropo.problems.file.model_xml import format_model
+from dropo.simulators.mujoco.model_xml import format_model
 from tests.models.holding_servo import FRICTION, servo
 
 LOAD = 0.4 * 9.81 * 0.1  # gravity of the level arm [N m]

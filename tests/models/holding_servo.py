@@ -41,9 +41,9 @@ def servo(friction=0.0, holding=False, finer=1):
     return MujocoSimulator(spec, [], frame_skip=5 * finer, threads=1)
 
 
-def recorded(holding, rng, *, runs=4, count=600):
+def recorded(holding, rng, *, runs=4, count=600, finer=4):
     """Runs under commands that jump and are held for a second, measured with noise."""
-    made = servo(FRICTION, holding, finer=4)
+    made = servo(FRICTION, holding, finer)
     actions = np.repeat(rng.uniform(-0.6, 0.6, (runs * count // HELD, 1)), HELD, axis=0)
     rest = np.zeros((len(actions), 2))
     ends = np.arange(len(actions)) % count == count - 1
@@ -56,9 +56,9 @@ def recorded(holding, rng, *, runs=4, count=600):
     )
 
 
-def without_friction(holding, seed):
+def without_friction(holding, seed, finer=4):
     """The first model, with friction among its numbers, beside the recorded motion."""
-    data = recorded(holding, np.random.default_rng(seed))
+    data = recorded(holding, np.random.default_rng(seed), finer=finer)
     problem = Problem("servo", servo(), data)
     fitted, held_out = sides(problem, 0.25)
     (friction,) = instances_of(problem.simulator.effect_context, "joint_friction")

@@ -129,7 +129,7 @@ def check_motions(
     ----------
     motions : sequence of Displacements
         Of one signal, one for each run.
-    settings : MotionSettings, optional
+    settings : KinematicsSettings, optional
         What counts as odd.
 
     Returns
@@ -335,7 +335,7 @@ def check_fall(
         The same in seconds.
     run : str, optional
         The run of a log, where there are several.
-    settings : MotionSettings, optional
+    settings : KinematicsSettings, optional
         What counts as odd.
 
     Yields
@@ -407,7 +407,7 @@ def fall_accelerations(
         Increasing stamps [s].
     positions : (n, 3) array
         In m.
-    settings : MotionSettings, optional
+    settings : KinematicsSettings, optional
         How long a window is.
 
     Returns

@@ -10,9 +10,11 @@ from dropo.core.contracts.effect import ActiveEffects, EffectInstance, Quantity
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
+from dropo.diagnosis.search.arithmetic import Arithmetic
 from dropo.diagnosis.search.library import robot_of
 from dropo.diagnosis.search.linearization import Library
 from dropo.mjmodel.dynamics.holding_friction import holds
+from dropo.mjmodel.robot_simulator import RobotSimulator
 
 GAIN = "actuator_gain"
 """The effect that is on the scale of all forces."""
@@ -35,17 +37,34 @@ class FarOffModel:
         Those of them that are fitted.
     numbers : sequence of (EffectInstance, (q,) array)
         What was missing else, with its magnitudes.
+    arithmetic : Arithmetic or None
+        Physics steps by which motions are judged; the model's own if None.
     """
 
     problem: Problem
     declared: Array
     free: Ints
     numbers: ActiveEffects
+    arithmetic: Arithmetic | None = None
 
     @cached_property
     def library(self) -> Library:
         """The simulator with the numbers' effects."""
         return self.library_with(())
+
+    @cached_property
+    def exact(self) -> RobotSimulator | None:
+        """The library's simulator in the steps by which motions are judged, if not its own."""
+        if self.arithmetic is None:
+            return None
+        return self.arithmetic.of(robot_of(self.problem).with_effects(self.library.instances))
+
+    def in_exact_steps(self) -> "FarOffModel":
+        """The model whose own steps are those by which motions are judged."""
+        if self.arithmetic is None:
+            return self
+        simulator = self.arithmetic.of(robot_of(self.problem))
+        return replace(self, problem=replace(self.problem, simulator=simulator), arithmetic=None)
 
     def library_with(self, more: Sequence[EffectInstance]) -> Library:
         """Build the simulator with the numbers' effects, then others.

@@ -93,6 +93,9 @@ class Fitted:
         Spread of the errors of what is compared.
     residuals : (W, n) array
         What is compared, measured less predicted.
+    of_steps : (W, n) array
+        What residuals in more exact physics steps differ by from those in the model's own; zeros
+        where there are no such steps.
     rows : (f, W, N) array
         Derivatives of the predictions, whitened and weighted.
     target : (W, N) array
@@ -105,6 +108,7 @@ class Fitted:
     free: Ints
     scale: Array
     residuals: Array
+    of_steps: Array
     rows: Array
     target: Array
     cost: float
@@ -150,6 +154,10 @@ class Known:
 class OutputError:
     """The output error of motions under a library's numbers.
 
+    Physics steps that are more exact cost several times as much. What they change hardly depends on
+    the numbers: it is computed where motions are linearized, and added to all residuals near there,
+    which are simulated in the model's own steps, as are all derivatives.
+
     Parameters
     ----------
     library : Library
@@ -160,6 +168,13 @@ class OutputError:
         How numbers are fitted.
     known : Known, optional
         What is known of the numbers beside the motions.
+    exact : RobotSimulator, optional
+        The library's simulator in more exact steps, by which motions are judged; if None, its own
+        steps are.
+
+    References
+    ----------
+    Stetter, Numerische Mathematik 29 (1978), 425: the principle of defect correction.
     """
 
     def __init__(
@@ -168,16 +183,18 @@ class OutputError:
         motions: Motions,
         settings: OutputErrorSettings = SETTINGS,
         known: Known | None = None,
+        exact: RobotSimulator | None = None,
     ) -> None:
         self.library = library
         self.motions = motions
         self.settings = settings
+        self.exact = exact
         count = len(library.simulator.space)
         self.known = known or Known(np.zeros(count), np.zeros(count))
         self._by_step: dict[Fitted, Array] = {}
 
     def residuals(self, thetas: Array) -> Array:
-        """Simulate all windows under several vectors of numbers.
+        """Simulate all windows under several vectors of numbers, in the model's own steps.
 
         Parameters
         ----------
@@ -191,6 +208,31 @@ class OutputError:
             simulation diverges.
         """
         return self.motions.residuals(self.library.predict(thetas, self.motions.windows))
+
+    def judged(self, theta: Array) -> Array:
+        """Simulate all windows in the steps by which motions are judged.
+
+        Parameters
+        ----------
+        theta : (m,) array
+            All numbers.
+
+        Returns
+        -------
+        (W, n) array
+            Measured less predicted; NaN where a simulation diverges.
+        """
+        if self.exact is None:
+            return np.asarray(self.residuals(theta[None])[0])
+        return self._by(self.exact, theta)
+
+    def _by(self, simulator: RobotSimulator, theta: Array) -> Array:
+        """Residuals (W, n) by another simulator of the same numbers, whose steps are counted."""
+        windows = self.motions.windows
+        before = simulator.steps
+        predicted = simulator.predict(theta[None], windows.segments)
+        self.library.simulator.steps += simulator.steps - before
+        return self.motions.residuals(predicted.reshape(len(windows), -1))
 
     def scale_of(self, residuals: Array) -> Array:
         """Estimate the robust spread of the residuals of signals that move.
@@ -322,12 +364,20 @@ class OutputError:
         residuals = self.residuals(different)[which.ravel()]
         _, above, below = np.split(residuals, [1, 1 + len(free)])
         slopes = (below - above) / (upper - lower)[:, None, None]
-        scale = self.scale_of(residuals[0])
-        whitened = self.whitened(residuals[0], scale)
+        here = residuals[0] if self.exact is None else self.judged(theta)
+        return self._linearized(theta, free, here, here - residuals[0], slopes)
+
+    def _linearized(
+        self, theta: Array, free: Ints, residuals: Array, of_steps: Array, slopes: Array
+    ) -> Fitted:
+        """Residuals (W, n) and their slopes (f, W, n), whitened and weighted."""
+        scale = self.scale_of(residuals)
+        whitened = self.whitened(residuals, scale)
         weights = self._weights(whitened)
         rows = self.motions.whitener(scale)(np.nan_to_num(slopes)) * weights
         cost = float(self.cost(whitened).sum())
-        return Fitted(theta, free, scale, residuals[0], rows, weights * whitened, cost)
+        target = weights * whitened
+        return Fitted(theta, free, scale, residuals, of_steps, rows, target, cost)
 
     def _weights(self, whitened: Array) -> Array:
         """What rows are multiplied with, so that their squares are those of the robust cost."""
@@ -410,7 +460,8 @@ class OutputError:
         cost = begun = fitted.cost + float(self.known.cost(theta))
         for _ in range(settings.chords):
             steps, promised = self._damped_steps(fitted, theta, target)
-            whitened = self.whitened(self.residuals(steps), fitted.scale)
+            residuals = self.residuals(steps) + fitted.of_steps
+            whitened = self.whitened(residuals, fitted.scale)
             costs = self.cost(whitened).sum(axis=1) + self.known.cost(steps)
             best = int(np.argmin(costs))
             gain = cost - float(costs[best])
@@ -497,7 +548,7 @@ class OutputError:
         theta : (m,) array
             All numbers.
         residuals : (W, n) array
-            Measured less predicted with the model's own physics step, under these numbers.
+            Measured less predicted in the steps by which motions are judged, under these numbers.
 
         Returns
         -------
@@ -505,14 +556,10 @@ class OutputError:
             The residuals less those with halved steps; zeros where the simulator has no physics
             steps.
         """
-        simulator = self.library.simulator
+        simulator = self.exact or self.library.simulator
         if not isinstance(simulator, RobotSimulator):
             return np.zeros_like(residuals)
-        windows = self.motions.windows
-        finer = simulator.with_finer_steps(2)
-        predicted = finer.predict(theta[None], windows.segments)
-        simulator.steps += finer.steps
-        return np.asarray(residuals - self.motions.residuals(predicted.reshape(len(windows), -1)))
+        return np.asarray(residuals - self._by(simulator.with_finer_steps(2), theta))
 
     def change_by_step(self, fitted: Fitted, prior: Array) -> Array:
         """Compute how far the fitted numbers are off because physics steps are not short.
@@ -538,6 +585,28 @@ class OutputError:
         whitened = self.motions.whitener(fitted.scale)(np.nan_to_num(change))
         moment = fitted.rows.reshape(len(fitted.free), -1) @ whitened.ravel()
         return np.asarray(2 * np.abs(self._inverse(fitted.gram + prior) @ moment))
+
+    def left_after_step(self, fitted: Fitted, residuals: Array) -> float:
+        """Compute what a linear step leaves of other residuals at the same numbers.
+
+        Parameters
+        ----------
+        fitted : Fitted
+            The motions linearized at the numbers, f of which are free.
+        residuals : (W, n) array
+            Measured less predicted otherwise, as in other physics steps.
+
+        Returns
+        -------
+        float
+            Half the sum of their squares, weighted as in `fitted` [nats].
+        """
+        whitened = self.whitened(residuals, fitted.scale)
+        target = (self._weights(self.whitened(fitted.residuals, fitted.scale)) * whitened).ravel()
+        moment = fitted.rows.reshape(len(fitted.free), -1) @ target
+        prior = np.diag(self.known.information[fitted.free])
+        taken = moment @ self._inverse(fitted.gram + prior) @ moment
+        return float(0.5 * (target @ target - taken))
 
     @staticmethod
     def _inverse(information: Array) -> Array:

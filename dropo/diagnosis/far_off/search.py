@@ -16,10 +16,12 @@ from dropo.diagnosis.far_off.model import GAIN, FarOffModel
 from dropo.diagnosis.far_off.motions import LongWindowSettings, Motions, motions_of, outer_spread
 from dropo.diagnosis.far_off.output_error import Fitted, Known, OutputError, OutputErrorSettings
 from dropo.diagnosis.far_off.ties import ties_of
+from dropo.diagnosis.search.arithmetic import ArithmeticSettings, rivals_of
 from dropo.diagnosis.search.bounds import at_bounds, totals_of
 from dropo.diagnosis.search.library import robot_of
 from dropo.diagnosis.search.linearization import Library
 from dropo.diagnosis.search.selection import STOPPING
+from dropo.mjmodel.robot_simulator import RobotSimulator
 
 PAYLOAD = "payload"
 """The effect that stands in for gains that differ."""
@@ -71,6 +73,8 @@ class FarOffSettings:
     accuracy : float
         Fraction of every number, with what the model has of it, that is added to its error: forces
         are known on the scale of the model's masses and inertias, which are not known better.
+    steps : ArithmeticSettings
+        Which physics steps are tried beside the model's own.
     motions : LongWindowSettings
         Which windows are compared.
     rough_fit : OutputErrorSettings
@@ -100,6 +104,7 @@ class FarOffSettings:
     certain: float = 3.0
     scale: float = 0.2
     accuracy: float = 0.02
+    steps: ArithmeticSettings = field(default_factory=ArithmeticSettings)
     motions: LongWindowSettings = field(default_factory=LongWindowSettings)
     rough_fit: OutputErrorSettings = field(default_factory=lambda: ROUGH)
     fit: OutputErrorSettings = field(default_factory=OutputErrorSettings)
@@ -127,6 +132,8 @@ class Explained:
         What motions tell only together, a sentence each.
     fits : bool
         Whether errors are no larger than sensors' noise and the physics step explain.
+    own_steps : bool
+        Whether the model's physics steps are those it came with; else more exact ones.
     interrupted : bool
         Whether the search ended before its end.
     """
@@ -139,6 +146,7 @@ class Explained:
     simulator_steps: int
     ties: tuple[str, ...]
     fits: bool
+    own_steps: bool = True
     interrupted: bool = False
 
     @property
@@ -243,7 +251,18 @@ class FarOffSearch:
         fits = not self._is_misfit(model, fitted)
         steps = self.simulator_steps
         ties = ties_of(model, covariance, end.free, self.settings.scale)
-        return Explained(model, errors, certain, without, length, steps, ties, fits, interrupted)
+        return Explained(
+            model.in_exact_steps(),
+            errors,
+            certain,
+            without,
+            length,
+            steps,
+            ties,
+            fits,
+            own_steps=model.arithmetic is None,
+            interrupted=interrupted,
+        )
 
     def _search(self, model: FarOffModel, whole: Problem) -> None:
         """Fit numbers to longer and longer motions, and add families where these ask for them."""
@@ -263,12 +282,14 @@ class FarOffSearch:
             self.progress(at, f"fitting {len(model.fitted)} numbers to windows of {length} steps")
             model = self._fit(model, sides.few, settings.rough_fit)
             self._latest = model, fitted
+        model = self._with_exact_steps(model, sides)
         if not model.holds and self._is_misfit(model, fitted):
             self.progress(0.25, "fitting dry friction that holds what rests")
             model = self._better(model, model.with_holding_friction(), sides)
         model = self._with_own_gains(model, sides)
         model = self._with_families(model, sides)
         model = self._without_needless(model, sides)
+        model = self._with_exact_steps(model, sides)
         if whole.trajectories is not model.problem.trajectories:
             model = model.with_data_of(whole)
             chosen = settings.motions
@@ -277,6 +298,28 @@ class FarOffSearch:
         windows = len(fitted.windows)
         self.progress(0.7, f"fitting {len(model.fitted)} numbers to {windows} windows")
         self._latest = self._fit(model, fitted, settings.fit), fitted
+
+    def _with_exact_steps(self, model: FarOffModel, sides: _Sides) -> FarOffModel:
+        """More exact physics steps, where motions are clearly better predicted by them."""
+        simulator = model.library.simulator
+        if model.arithmetic is not None or not isinstance(simulator, RobotSimulator):
+            return model
+        rivals = rivals_of(simulator, self.settings.steps)
+        if not rivals:
+            return model
+        self.progress(0.22, "more exact physics steps")
+        error = self._error(model, sides.few)
+        end = error.linearize(model.theta, model.fitted)
+        left = []
+        for arithmetic in rivals:
+            other = self._error(replace(model, arithmetic=arithmetic), sides.few)
+            left.append((error.left_after_step(end, other.judged(model.theta)), arithmetic))
+        # The cheapest of those that promise nearly as much as any.
+        least = min(cost for cost, _ in left)
+        as_it_is = error.left_after_step(end, end.residuals)
+        enough = least + (1 - self.settings.steps.nearly) * abs(as_it_is - least)
+        chosen = next(arithmetic for cost, arithmetic in left if cost <= enough)
+        return self._better(model, replace(model, arithmetic=chosen), sides)
 
     def _with_own_gains(self, model: FarOffModel, sides: _Sides) -> FarOffModel:
         """A gain for each drive, where that is better than one for all, or as good as a payload.
@@ -354,7 +397,8 @@ class FarOffSearch:
         gains = _gains(model)
         width = self.settings.scale * (1 + self._gain)
         known = Known(np.where(gains, self._gain, 0.0), np.where(gains, 1 / width**2, 0.0))
-        return OutputError(self._library(model), motions, settings or self.settings.fit, known)
+        chosen = settings or self.settings.fit
+        return OutputError(self._library(model), motions, chosen, known, model.exact)
 
     def _library(self, model: FarOffModel) -> Library:
         """A model's library, whose simulator's steps are counted."""
@@ -497,7 +541,7 @@ class FarOffSearch:
         """A model's errors (W, n) in some motions, simulated once."""
         found = self._simulated.get((model, motions))
         if found is None:
-            found = self._error(model, motions).residuals(model.theta[None])[0]
+            found = self._error(model, motions).judged(model.theta)
             self._simulated[model, motions] = found
         return found
 

@@ -81,6 +81,27 @@ class ArithmeticSettings:
 SETTINGS = ArithmeticSettings()
 
 
+def rivals_of(
+    simulator: RobotSimulator, settings: ArithmeticSettings = SETTINGS
+) -> tuple[Arithmetic, ...]:
+    """Return the more exact steps of a model with its integrator, the cheapest first.
+
+    Parameters
+    ----------
+    simulator : RobotSimulator
+        Of the model.
+    settings : ArithmeticSettings
+        Which there are.
+
+    Returns
+    -------
+    tuple of Arithmetic
+    """
+    if integrator(simulator.model) == "RK4":
+        return settings.of_runge_kutta
+    return settings.rivals
+
+
 @dataclass(eq=False)
 class Rivals:
     """More exact steps, each time beside the effect that a search would accept next.
@@ -143,7 +164,7 @@ class Rivals:
         if promise < 0 and state.accepted and found is not None:
             return False
         gained = float((state.test.log_likelihood - self.first.test.log_likelihood).sum())
-        needed = self.selection.needed_gain(len(self._rivals(simulator)))
+        needed = self.selection.needed_gain(len(rivals_of(simulator, self.settings)))
         needed = max(needed, self.selection.minimum_fraction * gained)
         before = penalized_log_likelihood(state)
         of_effect = 0.0 if found is None else penalized_log_likelihood(found) - before
@@ -166,12 +187,6 @@ class Rivals:
         self.winner = self._refined(simulator, arithmetic, rival, needed)
         return True
 
-    def _rivals(self, simulator: RobotSimulator) -> tuple[Arithmetic, ...]:
-        """Those of a model with its integrator."""
-        if integrator(simulator.model) == "RK4":
-            return self.settings.of_runge_kutta
-        return self.settings.rivals
-
     def _most_promising(self, simulator: RobotSimulator, state: State) -> tuple[Arithmetic, float]:
         """The cheapest rival that gains nearly as much as any on some of the windows to fit, and
         its gain.
@@ -185,7 +200,7 @@ class Rivals:
         own = settle(self.library, some, NO_INDICES, self.floor, rounds=1)
         before = float(own.log_likelihood.sum())
         gains = []
-        for arithmetic in self._rivals(simulator):
+        for arithmetic in rivals_of(simulator, self.settings):
             library = self._library(arithmetic.of(simulator))
             train = shift_linearization(library, some, state.theta, some.whiten.noise)
             train = settle(library, train, NO_INDICES, self.floor, rounds=1)

@@ -165,7 +165,7 @@ def with_noise(
 def _under(
     library: Library,
     linearized: LinearizedWindows,
-    noise: Noise,
+    noise: WindowNoise,
     settings: RefitSettings = DEFAULTS,
 ) -> LinearizedWindows:
     """Windows under a noise, linearized anew where it is quite another."""

@@ -24,8 +24,8 @@ from dropo.mjmodel.fields import OPTION, Binding, first_row, owner_of
 from dropo.mjmodel.names import actuator_names
 from dropo.mjmodel.numbers import array_of, changed_numbers
 from dropo.mjmodel.options import physics_step
-from dropo.problems.file.model_xml import format_model, is_in_model
 from dropo.problems.file.plain_model import active_effects
+from dropo.simulators.mujoco.model_xml import format_model, is_in_model
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 LINEAR = 1e-9

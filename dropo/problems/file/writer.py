@@ -13,11 +13,11 @@ from dropo.core.services.files.strict_yaml import format_yaml
 from dropo.core.services.validation import Array
 from dropo.mjmodel.fields import FieldParameter
 from dropo.problems.file.effects import make_effect_entry
-from dropo.problems.file.model_assets import with_assets_beside
-from dropo.problems.file.model_xml import format_model, is_in_model
 from dropo.problems.file.plugins import places_from
 from dropo.problems.file.schema import EffectEntry, ParameterEntry, ProblemFile
 from dropo.problems.file.task import locate_from
+from dropo.simulators.mujoco.model_assets import with_assets_beside
+from dropo.simulators.mujoco.model_xml import format_model, is_in_model
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 

@@ -6,18 +6,16 @@ the motion is lost, and by how much says nothing. A simulation that failed has l
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dropo.core.numerics.tails import normal_tail, student_quantile
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.tables import number, steps_text
 from dropo.core.services.validation import Array
-from dropo.diagnosis.findings.accuracy.horizons import AfterHorizon
-
-OF_MOTION = "of the motion"
-"""The line of all signals together, each in units of its spread."""
+from dropo.diagnosis.findings.accuracy.horizons import OF_MOTION, AfterHorizon
 
 
 @dataclass(frozen=True)
@@ -121,6 +119,8 @@ def beyond_noise(
     model: int,
     usual: int | None = None,
     settings: EveryHorizonSettings = SETTINGS,
+    *,
+    measured: NDArray[np.bool_] | None = None,
 ) -> tuple[Beyond, ...]:
     """Say after which horizons a model's errors are larger than noise explains.
 
@@ -135,12 +135,16 @@ def beyond_noise(
         where the noise that was drawn is not all that there is.
     settings : EveryHorizonSettings
         When they are larger.
+    measured : (p,) bool array, optional
+        Which signals count; all if None.
 
     Returns
     -------
     tuple of Beyond
         One for each horizon where they are, of the unit that stands out most.
     """
+    if measured is not None:
+        found = [replace(after, spread=np.where(measured, after.spread, 0.0)) for after in found]
     larger = {}
     for after in found:
         if after.steps == usual:

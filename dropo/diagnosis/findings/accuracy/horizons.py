@@ -26,6 +26,10 @@ from dropo.evaluation.held_out import (
     rms_of_motion,
 )
 
+LOST = 2.0
+"""Multiple of a signal's spread that an error counts at most: beyond it the motion is lost."""
+OF_MOTION = "of the motion"
+"""The line of all signals together, each in units of its spread."""
 TOLD = 0.1
 """Fraction of the numbers' intervals below which the data tell a direction of them."""
 
@@ -49,6 +53,13 @@ class Horizon:
         For each unit the root mean square error over its signals, and the noise's part.
     by_signal : (p,) array
         Root mean square error of each signal, in its unit.
+    capped_by_signal : (p,) array
+        The same where an error counts as `LOST` times its signal's spread at most, and so does a
+        simulation that failed.
+    capped : dict of str to float
+        Likewise for each unit; under `OF_MOTION` that of all signals, each in units of its spread.
+    lost : float
+        The fraction of the errors that are larger than that.
     """
 
     steps: int
@@ -57,6 +68,9 @@ class Horizon:
     noise: float
     units: dict[str, tuple[float, float]]
     by_signal: Array
+    capped_by_signal: Array
+    capped: dict[str, float]
+    lost: float
 
     def to_json(self) -> dict[str, Any]:
         """Return plain numbers; None of an error where the simulation diverges."""
@@ -70,6 +84,7 @@ class Horizon:
             "rmse": _or_none(self.rmse),
             "noise": self.noise,
             "units": units,
+            "lost": self.lost,
         }
 
 
@@ -200,11 +215,16 @@ def after_horizons(
             further = offsets + extra_sd * ends.standard_normal(offsets.shape)
             change = simulator.predict(same, windows, offsets=further) - predicted[which[-1]]
         anew = np.sqrt(1 - rho ** (2 * steps)) * sigma * ends.standard_normal(offsets.shape)
+        off = simulator.targets(windows) - predicted
+        of_each = [
+            _horizon(simulator, of_model, noise, rows)
+            for of_model, rows in zip(errors, off, strict=True)
+        ]
         after = AfterHorizon(
             steps=steps,
             signals=tuple(simulator.signals),
-            models=tuple(_horizon(simulator, errors[i], noise) for i in which[:-1].tolist()),
-            errors=(simulator.targets(windows) - predicted)[which[:-1]],
+            models=tuple(of_each[i] for i in which[:-1].tolist()),
+            errors=off[which[:-1]],
             by_noise=rho**steps * offsets + anew - change,
             spread=spread,
             block=apart(part.block[starts], starts, steps),
@@ -343,11 +363,16 @@ def signal_noise(problem: Problem, last: State) -> Array:
     return np.minimum(last.train.whiten.sigma, stated)
 
 
-def _horizon(simulator: Simulator, errors: HorizonErrors, noise: Array) -> Horizon:
-    """The errors beside the noise's (p,) variance at this horizon."""
+def _horizon(simulator: Simulator, errors: HorizonErrors, noise: Array, rows: Array) -> Horizon:
+    """The errors, and those of each row (W, p), beside the noise's (p,) variance."""
     step = simulator.control_step
     by_noise = rms_by_unit(errors.signals, noise)
     there = np.nan if errors.failed == errors.rows else 1.0
+    # A signal that does not vary has no motion to lose.
+    varies = errors.spread > 0
+    most = np.where(varies, LOST * errors.spread, np.inf)
+    sizes = np.where(np.isfinite(rows), np.abs(rows), np.where(varies, np.inf, 0.0))
+    squares = np.mean(np.minimum(sizes, most) ** 2, axis=0)
     return Horizon(
         steps=errors.horizon,
         seconds=None if step is None else errors.horizon * step,
@@ -355,4 +380,8 @@ def _horizon(simulator: Simulator, errors: HorizonErrors, noise: Array) -> Horiz
         noise=rms_of_motion(noise, errors.spread),
         units={unit: (there * off, by_noise[unit]) for unit, off in errors.by_unit.items()},
         by_signal=there * errors.by_signal,
+        capped_by_signal=np.sqrt(squares),
+        capped=rms_by_unit(errors.signals, squares)
+        | {OF_MOTION: rms_of_motion(squares, errors.spread)},
+        lost=float(np.mean(sizes[:, varies] > most[varies])) if varies.any() else 0.0,
     )

@@ -10,9 +10,8 @@ from dropo.core.contracts.simulator import Simulator
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.tables import Table, number
 from dropo.core.services.validation import Array
+from dropo.diagnosis.findings.accuracy.horizons import LOST
 
-LOST = 2.0
-"""Multiple of a signal's spread that an error counts at most: beyond it the motion is lost."""
 ODD = 5.0
 """Multiple of a signal's usual error from which a run is named."""
 FEWEST = 5

@@ -171,7 +171,7 @@ def _smallest(
     base = float(last.theta[place])
     room = {1.0: float(space.high[place]) - base, -1.0: base - float(space.low[place])}
     probe = min(abs(value) for value in instance.quantities[0].probes)
-    sizes = []
+    sizes: list[float] = []
     for sign, most in room.items():
         if sign < 0 and most < probe:
             continue  # what cannot be less is asked for on one side

@@ -5,6 +5,7 @@ was fitted to.
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dropo.core.services.validation import Array
 from dropo.diagnosis.search.linearization import LinearizedWindows
@@ -66,8 +67,12 @@ def omnibus(
     test: LinearizedWindows,
     rng: np.random.Generator,
     settings: OmnibusSettings = SETTINGS,
+    *,
+    measured: NDArray[np.bool_] | None = None,
 ) -> Omnibus:
     """Test whether state and command predict what is left in windows held out.
+
+    The errors of a signal that was estimated from others follow from the motion by themselves.
 
     Parameters
     ----------
@@ -79,11 +84,13 @@ def omnibus(
         Draws the random features.
     settings : OmnibusSettings
         Of the regression.
+    measured : (p,) bool array, optional
+        Which signals are tested; all if None.
 
     Returns
     -------
     Omnibus
-        The test's numbers.
+        The test's numbers; 0 for a signal that is not tested.
     """
     rows = [_state_and_command(linearized, settings.commands) for linearized in (train, test)]
     mean = rows[0].mean(axis=0)
@@ -95,6 +102,8 @@ def omnibus(
     smooth = random_features(scaled, rng, settings.regression)
     design = np.concatenate([np.ones((len(both), 1)), scaled, smooth], axis=1)
     residuals = np.concatenate([_whitened(train), _whitened(test)])
+    tested = np.ones(residuals.shape[1], dtype=bool) if measured is None else measured
+    residuals = residuals[:, tested]
     unseen = np.arange(len(both)) >= len(rows[0])
     blocks = [
         np.repeat(linearized.windows.block, linearized.windows.length)
@@ -105,7 +114,9 @@ def omnibus(
     )
     share = found.fall / (len(rows[1]) * residuals.shape[1])
     present = found.z > settings.least_z and share > settings.least_share
-    return Omnibus(found.z, tuple(found.by_signal.tolist()), share, present)
+    by_signal = np.zeros(len(tested))
+    by_signal[tested] = found.by_signal
+    return Omnibus(found.z, tuple(by_signal.tolist()), share, present)
 
 
 def _whitened(linearized: LinearizedWindows) -> Array:

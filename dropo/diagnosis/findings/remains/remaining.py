@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dropo.core.contracts.problem import Problem
 from dropo.core.numerics.tails import normal_tail
@@ -76,7 +77,7 @@ def remaining(
         The forces that nothing explains.
     """
     forces = unexplained_force(library, last.train, last.test, floor, gain_of)
-    structure = omnibus(last.train, last.test, rng)
+    structure = omnibus(last.train, last.test, rng, measured=are_measured(problem))
     names = force_names(library)
     signals = library.simulator.signals
 
@@ -104,6 +105,27 @@ def remaining(
     z = max(forces.z if forces.present else 0.0, structure.z)
     p_value = float(max(normal_tail(z), np.finfo(float).tiny))
     return Remaining(not where, p_value, tuple(where), sd_by_joint), forces
+
+
+def are_measured(problem: Problem) -> NDArray[np.bool_]:
+    """Return which signals are measured.
+
+    What was estimated from others is off in its own way, and says nothing against a model that they
+    do not.
+
+    Parameters
+    ----------
+    problem : Problem
+        That is diagnosed.
+
+    Returns
+    -------
+    (p,) bool array
+        All where none is.
+    """
+    names = [signal.name for signal in problem.simulator.signals]
+    measured = np.array([name not in problem.estimated for name in names])
+    return measured if measured.any() else np.ones(len(names), dtype=bool)
 
 
 def force_names(library: Library) -> Sequence[tuple[str, str]]:

@@ -8,7 +8,7 @@ from dropo.core.contracts.effect import ActiveEffects, EffectInstance
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.validation import Array
 from dropo.mjmodel.files.writing import write_model
-from dropo.problems.file.model_assets import with_absolute_assets
+from dropo.simulators.mujoco.model_assets import with_absolute_assets
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 
