@@ -699,7 +699,7 @@ def nominal_of(library: Library) -> Array:
     """
     space = library.simulator.space
     nominal = np.asarray(library.simulator.nominal, dtype=float)
-    return np.clip(nominal, space.low, space.high)
+    return space.clip(nominal)
 
 
 def _free(problem: Problem, parameters: Sequence[str] | None) -> Ints:

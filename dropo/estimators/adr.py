@@ -121,7 +121,7 @@ def _first_values(problem: Problem) -> Array:
     nominal = problem.simulator.nominal
     if nominal is None:
         return (space.low + space.high) / 2
-    return np.clip(nominal, space.low, space.high)
+    return space.clip(nominal)
 
 
 class Bounds:

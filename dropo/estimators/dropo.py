@@ -284,33 +284,35 @@ class DROPO(Estimator):
 
         # Whole runs, where they are asked for, or where part of the state was not measured.
         if isinstance(likelihood, RunLikelihood):
-            mean = np.clip(mean, prior.within.low, prior.within.high)
+            mean = prior.within.clip(mean)
             return self._fit_runs(problem, run, family, likelihood, noise, mean, reason="")
         reason = reason_to_follow(problem) if self._may_follow_runs(problem) else ""
         if reason:
             first = mean
             if problem.whole_runs:  # its segments show roughly where to begin
                 first = best_start(problem, run, mean, self.search.rough.points).value
-            first = np.clip(first, prior.within.low, prior.within.high)
+            first = prior.within.clip(first)
             fit, problem = self._try_runs(problem, run, family, noise, first, reason)
             if fit is not None:
                 return fit
 
-        # Else segments. In a wide box, or where a motion may repeat, begin near the best of several
-        # optima.
-        elsewhere: GlobalStart | None = None
-        is_local = isinstance(likelihood, LocalLikelihood)
-        misleading = bool(reason) and problem.horizon == 1  # single steps from estimated states
-        several = is_wide(problem.space) or may_have_several(problem)
-        if is_local and several and not misleading:
-            elsewhere = best_start(problem, run, mean, search_settings(problem, self.search)[1])
-            mean = elsewhere.value
-            problem = replace(problem, warnings=(*problem.warnings, *elsewhere.warnings))
-        mean = np.clip(mean, prior.within.low, prior.within.high)
+        # Else segments, by a local likelihood. In a wide box, or where a motion may repeat, begin
+        # near the best of several optima; single steps from estimated states would mislead there.
         if isinstance(likelihood, LocalLikelihood):
+            elsewhere: GlobalStart | None = None
+            misleading = bool(reason) and problem.horizon == 1
+            several = is_wide(problem.space) or may_have_several(problem)
+            if several and not misleading:
+                elsewhere = best_start(problem, run, mean, search_settings(problem, self.search)[1])
+                mean = elsewhere.value
+                problem = replace(problem, warnings=(*problem.warnings, *elsewhere.warnings))
+            mean = prior.within.clip(mean)
             return self._fit_locally(
                 problem, run, family, likelihood, noise, mean, likelihood_rng, elsewhere
             )
+
+        # Or by a sampled one.
+        mean = prior.within.clip(mean)
         if self.starts == "filtered":
             raise Incompatible(
                 f"{self._likelihood_name!r} takes no filtered starts. Use 'emulated', 'linear' or"

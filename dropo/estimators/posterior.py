@@ -406,8 +406,8 @@ class _Evaluate:
 def _unit_width(space: ParameterSpace, mean: Array, error: Array) -> Array:
     """(d,) standard errors in the unit box, at most a tenth; 0.01 for a missing one."""
     known_error = np.nan_to_num(error)
-    above = space.to_unit(np.clip(mean + known_error, space.low, space.high))
-    below = space.to_unit(np.clip(mean - known_error, space.low, space.high))
+    above = space.to_unit(space.clip(mean + known_error))
+    below = space.to_unit(space.clip(mean - known_error))
     width = np.clip((above - below) / 2, 1e-9, 0.1)
     return np.where(np.isfinite(error), width, 0.01)
 

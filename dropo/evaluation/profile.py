@@ -173,7 +173,7 @@ def profile(
     generator = np.random.default_rng(rng)
     objective = _local_likelihood(problem, fit, likelihood, epsilon, generator, width)
     unknowns = objective.unknowns
-    start = np.clip(_start(objective, fit), unknowns.low, unknowns.high)
+    start = unknowns.clip(_start(objective, fit))
     top = maximize_locally(objective, start)
     places = [unknowns.names.index(f"mean.{name}") for name in parameters]
     grids = [_grid(objective, top.phi, place, points, width) for place in places]

@@ -44,4 +44,4 @@ class Point(Family):
 
     def phi(self, mean: ArrayLike, scale: ArrayLike | None = None) -> Array:
         """Returns the member (m,) with the mean (d,), clipped to its bounds; scale is ignored."""
-        return np.clip(np.asarray(mean, dtype=float), self.unknowns.low, self.unknowns.high)
+        return self.unknowns.clip(mean)

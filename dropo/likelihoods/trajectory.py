@@ -739,11 +739,11 @@ class _JointSearch:
         step = modes - objective.centre
         own = np.exp(modes) if family.logarithmic else modes
         space = self.simulator.space
-        own = np.clip(own, space.low, space.high)
+        own = space.clip(own)
         before = linearized.state.value if linearized.state.own is None else linearized.state.own
         starts = linearized.state.starts + self._start_steps(linearized, (own - before)[group])
         within = self.prior.within
-        mean = np.clip(family.mean(phi[: len(family.unknowns)]), within.low, within.high)
+        mean = within.clip(family.mean(phi[: len(family.unknowns)]))
         state = replace(linearized.state, value=mean, own=own, starts=starts)
         value_step = self._position.value_step
         try:
@@ -811,7 +811,7 @@ class _JointSearch:
         unknowns = objective.unknowns
         scales = [i for i, name in enumerate(unknowns.names) if name.startswith("scale.")]
         low = family.phi(linearized.state.value, np.zeros(len(linearized.state.value)))
-        low = np.clip(low, unknowns.low, unknowns.high)
+        low = unknowns.clip(low)
         plain = low
         if linearized.state.own is not None:
             plain = self._maximum(objective, scales, low)

@@ -59,7 +59,7 @@ def parameters(fit: Fit, ax: Axes | None = None, *, priors: dict[str, Prior] | N
     ax = axes_of(ax, size=(4.2, 0.6 + 0.38 * len(fit.space)))
     place = np.arange(len(fit.space))[::-1]
     ends = np.stack([fit.mean - 2 * fit.sd, fit.mean, fit.mean + 2 * fit.sd])
-    spread = fit.space.to_unit(np.clip(ends, fit.space.low, fit.space.high))
+    spread = fit.space.to_unit(fit.space.clip(ends))
     interval = fit.space.to_unit(fit.interval().T)
     ax.barh(place, 1, height=0.44, color=LIGHT, label="searched")
     for name, prior in (priors or {}).items():

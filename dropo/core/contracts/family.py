@@ -256,7 +256,7 @@ class Family(ABC):
         for kind, values in given.items():
             for name, value in zip(self.space.names, np.asarray(values), strict=True):
                 phi[self.unknowns.names.index(f"{kind}.{name}")] = value
-        return np.clip(phi, self.unknowns.low, self.unknowns.high)
+        return self.unknowns.clip(phi)
 
 
 def _clip_to_open_interval(points: Array) -> Array:

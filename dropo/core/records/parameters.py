@@ -234,6 +234,21 @@ class ParameterSpace(Sequence[Parameter]):
         logarithmic = np.log(np.where(self.is_log, values, 1.0) / base) / np.log(ratio)
         return np.where(self.is_log, logarithmic, linear)
 
+    def clip(self, values: ArrayLike) -> Array:
+        """Move values to the nearest point of the box.
+
+        Parameters
+        ----------
+        values : (..., d) array_like
+            In the parameters' units.
+
+        Returns
+        -------
+        (..., d) array
+            Within the bounds of the search.
+        """
+        return np.clip(values, self.low, self.high)
+
     def feasible(self, values: Array) -> Array:
         """Clip values to what is physically possible.
 

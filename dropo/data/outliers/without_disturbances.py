@@ -126,7 +126,7 @@ def remove_disturbances(
     space = problem.space
     start = (space.low + space.high) / 2
     if simulator.nominal is not None:
-        start = np.clip(simulator.nominal, space.low, space.high)
+        start = space.clip(simulator.nominal)
     try:
         values = robust_values(simulator, problem.trajectories, step, start, settings=settings)
         return without_disturbances(problem, simulator, values, settings)

@@ -103,7 +103,7 @@ def start_of(
     if not sure and not _may_be(estimate, [one.effect for one in named], limits):
         return None
     space = simulator.space
-    values = np.clip(np.asarray(simulator.nominal, dtype=float), space.low, space.high)
+    values = space.clip(simulator.nominal)
     numbers = []
     for instance, sizes in fixed_numbers(simulator, estimate):
         if not declared(simulator, instance, free):

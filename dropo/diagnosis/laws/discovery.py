@@ -599,12 +599,12 @@ def _extended(selection: Selection, library: Library) -> Selection:
     own.origins.update(
         {label: batches.get(id(one), one) for label, one in selection.origins.items()}
     )
-    own.screening.remembered.update(selection.screening.remembered)
+    own.screening.first_responses.update(selection.screening.first_responses)
     own.screening.counted.update(selection.screening.counted)
-    own.screening.first = (
+    own.screening.first_windows = (
         None
-        if selection.screening.first is None
-        else _padded_side(selection.screening.first, library)
+        if selection.screening.first_windows is None
+        else _padded_side(selection.screening.first_windows, library)
     )
     return own
 

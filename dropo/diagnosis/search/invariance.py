@@ -134,7 +134,7 @@ def response_of(
     space = library.simulator.space
     thetas = np.stack([linearized.theta, linearized.theta])
     thetas[:, place] *= np.array([[1 + settings.step], [1 - settings.step]])
-    upper, lower = library.predict(np.clip(thetas, space.low, space.high), linearized.windows)
+    upper, lower = library.predict(space.clip(thetas), linearized.windows)
     return np.asarray(np.nan_to_num(upper - lower) / (2 * settings.step))
 
 

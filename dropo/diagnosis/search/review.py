@@ -210,28 +210,8 @@ def merge(selection: Selection, state: State, instances: Sequence[EffectInstance
         itself.
     """
     for common in instances:
-        acts_everywhere = common.target is None
-        if not acts_everywhere or len(common.quantities) != 1:
-            continue
-        local = [
-            instance
-            for instance in state.accepted
-            if instance.effect == common.effect and instance.target is not None
-        ]
-        fewer = [common]
-        replaced = local
-        if common in state.accepted:
-            taken = {instance.target for instance in local}
-            fewer = [
-                instance
-                for instance in instances
-                if instance.effect == common.effect
-                and instance.target is not None
-                and instance.target not in taken
-                and len(instance.quantities) == 1
-            ]
-            replaced = [common, *local]
-        if not local or not 0 < len(fewer) < len(replaced):
+        replaced, fewer = _replacement(state, common, instances)
+        if not 0 < len(fewer) < len(replaced):
             continue
         merged = _merged(selection, state, replaced, fewer)
         # Fewer magnitudes take the place of several: is the loss less than BIC asks for them?
@@ -243,6 +223,33 @@ def merge(selection: Selection, state: State, instances: Sequence[EffectInstance
                 _note_origin(selection, instance)
             return merged
     return state
+
+
+def _replacement(
+    state: State, common: EffectInstance, instances: Sequence[EffectInstance]
+) -> tuple[list[EffectInstance], list[EffectInstance]]:
+    """The accepted effects of one kind that others may replace, and these others, of one magnitude
+    each; nothing where `common` is no effect that acts everywhere, or no local one is accepted.
+    """
+    if common.target is not None or len(common.quantities) != 1:
+        return [], []
+    local = _local_effects(common.effect, state.accepted)
+    if not local:
+        return [], []
+    if common not in state.accepted:
+        return local, [common]
+    # It acts everywhere already: the local ones undo it there, so it may hold at the others alone.
+    undone = {instance.target for instance in local}
+    elsewhere = []
+    for instance in _local_effects(common.effect, instances):
+        if instance.target not in undone and len(instance.quantities) == 1:
+            elsewhere.append(instance)
+    return [common, *local], elsewhere
+
+
+def _local_effects(effect: str, instances: Sequence[EffectInstance]) -> list[EffectInstance]:
+    """Those of one kind that act at one place each."""
+    return [one for one in instances if one.effect == effect and one.target is not None]
 
 
 def _merged(

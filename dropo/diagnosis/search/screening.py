@@ -48,9 +48,9 @@ class ScreeningSettings:
     finalists : int
         Effects that are screened on all windows, after a first choice on some.
     coarse_stride : int
-        A first choice takes one window of so many ...
+        A first choice takes one window of so many.
     coarse_windows : int
-        ... if at least so many windows are left.
+        There is a first choice only where it has at least so many windows.
     kept : int
         So many screenings keep the responses of all windows.
     noise_rounds : int
@@ -115,10 +115,10 @@ class Screening:
         How effects are screened.
     log : EvaluationLog
         Where choices on some of the windows are recorded.
-    first : LinearizedWindows or None
-        Some of the windows, as the first choice on them found them ...
-    remembered : dict
-        ... and their responses, by effect and probe.
+    first_windows : LinearizedWindows or None
+        Some of the windows, as the very first choice found them; None before it.
+    first_responses : dict
+        Their responses, by effect and probe, which all later choices take too.
     counted : set
         Which of these have been counted as simulator steps, also by a search that was resumed.
     kept : list
@@ -131,8 +131,8 @@ class Screening:
     floor: Array
     settings: ScreeningSettings = SETTINGS
     log: EvaluationLog = field(default_factory=EvaluationLog)
-    first: LinearizedWindows | None = None
-    remembered: Responses = field(default_factory=dict)
+    first_windows: LinearizedWindows | None = None
+    first_responses: Responses = field(default_factory=dict)
     counted: set[tuple[str, Probe]] = field(default_factory=set)
     kept: list[tuple[LinearizedWindows, Responses]] = field(default_factory=list)
     best: dict[str, Probe] = field(default_factory=dict)
@@ -230,23 +230,12 @@ class Screening:
 
         Their responses are those that the very first choice was made with.
         """
-        if self.first is None:
-            self.first = some
-        first = self.first
+        if self.first_windows is None:
+            self.first_windows = some
         coarse = [(instance, probe) for instance in instances for probe in coarse_probes(instance)]
 
         def choose() -> list[ProbedEffect]:
-            inside = _inside_bounds(self.library, some.theta, free)
-            jacobian = self.library.jacobian(some.theta, inside, some.windows)
-            self._remember(first, coarse)
-            ranked = _by_gain(self._score_all(some, jacobian, coarse, self.remembered))
-            finalists = [candidate.instance for candidate in ranked[: self.settings.finalists]]
-            every = _every_probe(finalists)
-            self._remember(first, every)
-            scored = self._score_all(some, jacobian, every, self.remembered)
-            probes = {label: probe for label, (_, probe) in scored.items()}
-            ordered = [candidate.instance for candidate in _by_gain(scored)]
-            return [(instance, probes[instance.label]) for instance in ordered]
+            return self._choose(some, free, coarse)
 
         # A choice is recorded by the positions of the chosen among all, and of their probes.
         def pack(chosen: list[ProbedEffect]) -> Array:
@@ -269,17 +258,37 @@ class Screening:
         self.counted.update((instance.label, probe) for instance, probe in counted)
         return chosen
 
-    def _remember(self, first: LinearizedWindows, probed: Sequence[ProbedEffect]) -> None:
-        """Simulate what is missing of the responses that are remembered.
+    def _choose(
+        self, some: LinearizedWindows, free: np.ndarray, coarse: Sequence[ProbedEffect]
+    ) -> list[ProbedEffect]:
+        """The effects that promise most on some of the windows, each with its best probe: all along
+        the coarse probes, then the best of them along every probe.
+        """
+        inside = _inside_bounds(self.library, some.theta, free)
+        jacobian = self.library.jacobian(some.theta, inside, some.windows)
+        self._add_first_responses(coarse)
+        ranked = _by_gain(self._score_all(some, jacobian, coarse, self.first_responses))
+        finalists = [candidate.instance for candidate in ranked[: self.settings.finalists]]
+        every = _every_probe(finalists)
+        self._add_first_responses(every)
+        scored = self._score_all(some, jacobian, every, self.first_responses)
+        probes = {label: probe for label, (_, probe) in scored.items()}
+        ordered = [candidate.instance for candidate in _by_gain(scored)]
+        return [(instance, probes[instance.label]) for instance in ordered]
+
+    def _add_first_responses(self, probed: Sequence[ProbedEffect]) -> None:
+        """Simulate what is missing of the first windows' responses.
 
         A search that was resumed simulates again what has been counted.
         """
+        first = self.first_windows
+        assert first is not None
         simulator = self.library.simulator
         before = [one for one in probed if (one[0].label, one[1]) in self.counted]
         steps = simulator.steps
-        self._add_responses(first, before, self.remembered)
+        self._add_responses(first, before, self.first_responses)
         simulator.steps = steps
-        self._add_responses(first, probed, self.remembered)
+        self._add_responses(first, probed, self.first_responses)
 
     def _score_all(
         self,
@@ -314,11 +323,7 @@ class Screening:
                 for magnitudes, change in zip(probe, changes, strict=True):
                     scored.append(self._with_new_noise(linearized, instance, magnitudes, change))
             for candidate in scored:
-                if candidate is None:
-                    continue
-                best_so_far = best.get(instance.label)
-                if best_so_far is None or candidate.gain > best_so_far[0].gain:
-                    best[instance.label] = (candidate, probe)
+                _keep_better(best, candidate, probe)
         return best
 
     def _with_new_noise(
@@ -440,6 +445,15 @@ def _explained_by(linearized: LinearizedWindows, jacobian: Array) -> Array | Non
         return None
     basis, _ = np.linalg.qr(linearized.flat(jacobian).T)
     return np.asarray(basis)
+
+
+def _keep_better(best: Scored, candidate: Candidate | None, probe: Probe) -> None:
+    """Note a candidate and its probe as the best of its effect, if none promises as much."""
+    if candidate is None:
+        return
+    label = candidate.instance.label
+    if label not in best or candidate.gain > best[label][0].gain:
+        best[label] = (candidate, probe)
 
 
 def _inside_bounds(library: Library, theta: Array, free: np.ndarray) -> np.ndarray:

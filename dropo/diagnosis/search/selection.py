@@ -8,7 +8,7 @@ Each step of the search screens all effects (`screening`), refits the most promi
 fit and the windows held out, linearized under its theta and noise.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import islice
 
@@ -73,11 +73,13 @@ class Selection:
         How far the search has come, for one that is interrupted.
     """
 
+    # what it works with
     library: Library
     floor: Array
     progress: Progress = silent
     settings: SelectionSettings = SETTINGS
     log: EvaluationLog = field(default_factory=EvaluationLog)
+    # what it has done so far
     batches: list[Batch] = field(default_factory=list)
     origins: dict[str, Batch] = field(default_factory=dict)
     screening: Screening = field(init=False)
@@ -138,6 +140,7 @@ class Selection:
             fitted = self._refit(linearized, free, rounds=2, renewals=1)
             return fitted, self._linearize_held_out(fitted, test)
 
+        # A record is known by the numbers that the fit began with.
         key = np.concatenate([theta, estimated.numbers])
         fitted_train, fitted_test = recorded_sides(self.log, library, key, (train, test), fit)
         self.latest = State(fitted_train, fitted_test, free)
@@ -228,41 +231,59 @@ class Selection:
         State or None
             None where no effect is confirmed.
         """
-        settings = self.settings
-
-        # Screen: which of the effects that are not in the model do the residuals suggest?
-        count = len(state.accepted)
-        accepted = {instance.label for instance in state.accepted}
-        others = [instance for instance in instances if instance.label not in accepted]
-        self.progress(_fraction_done(count, 0.0), f"screening {len(others)} effects")
-        screened = self.screening(state.train, state.free, others)
-        maximum = settings.maximum_batches * settings.batch_size
-        promising = shortlist(screened, maximum, settings.minimum_fitted_gain)
-        promising = with_constant(promising, others)
-
-        # Refit batch after batch, until windows held out confirm one of a batch. Where nothing
-        # promises enough, one empty batch says so.
+        screened, promising = self._screen(state, instances)
         needed_gain = self._needed_gain(state, first, len(instances))
+
+        # Refit batch after batch, until windows held out confirm an effect of a batch.
         with_less_noise: list[Trial] = []
-        for start in range(0, max(len(promising), 1), settings.batch_size):
-            trials = self.try_candidates(state, promising[start : start + settings.batch_size])
+        for candidates in _batches(promising, self.settings.batch_size):
+            trials = self.try_candidates(state, candidates)
             self.batches.append(Batch(state, screened, trials))
-            confirmed: list[Trial] = []
-            for trial in trials:
-                if trial.fitted_gain <= settings.minimum_fitted_gain:
-                    continue
-                if is_confirmed(state.test, trial.state.test, needed_gain, settings):
-                    confirmed.append(trial)
-                elif has_less_noise(state.train, trial.state.train, settings):
-                    with_less_noise.append(trial)
+            confirmed, unconfirmed = self._confirm(state, trials, needed_gain)
             found = self._accept_first(state, confirmed, needed_gain)
             if found is not None:
                 return found
+            with_less_noise += unconfirmed
 
         # None was confirmed as it was tried, linearized under the noise before. Where the noise has
         # fallen much, linearize anew: one trial at a time, as `_accept_first` asks for them.
         renewed = (replace(trial, state=self.polish(trial.state)) for trial in with_less_noise)
         return self._accept_first(state, renewed, needed_gain)
+
+    def _screen(
+        self, state: State, instances: Sequence[EffectInstance]
+    ) -> tuple[list[Candidate], list[Candidate]]:
+        """All effects that are not in the model, by what the residuals promise of them, and the
+        few of them that are refitted.
+        """
+        settings = self.settings
+        accepted = {instance.label for instance in state.accepted}
+        others = [instance for instance in instances if instance.label not in accepted]
+        done = _fraction_done(len(state.accepted), 0.0)
+        self.progress(done, f"screening {len(others)} effects")
+        screened = self.screening(state.train, state.free, others)
+        maximum = settings.maximum_batches * settings.batch_size
+        promising = shortlist(screened, maximum, settings.minimum_fitted_gain)
+        return screened, with_constant(promising, others)
+
+    def _confirm(
+        self, state: State, trials: Sequence[Trial], needed_gain: float
+    ) -> tuple[list[Trial], list[Trial]]:
+        """The trials that windows held out confirm, and of the others those with much less noise.
+
+        needed_gain: on the windows held out [nats].
+        """
+        settings = self.settings
+        confirmed: list[Trial] = []
+        with_less_noise: list[Trial] = []
+        for trial in trials:
+            if trial.fitted_gain <= settings.minimum_fitted_gain:
+                continue
+            if is_confirmed(state.test, trial.state.test, needed_gain, settings):
+                confirmed.append(trial)
+            elif has_less_noise(state.train, trial.state.train, settings):
+                with_less_noise.append(trial)
+        return confirmed, with_less_noise
 
     def _needed_gain(self, state: State, first: State, effects: int) -> float:
         """The held-out gain [nats] that one more effect needs, of so many that are looked for."""
@@ -448,6 +469,12 @@ class Selection:
     def _linearize_held_out(self, fitted: LinearizedWindows, test: Windows) -> LinearizedWindows:
         """The windows held out under what was fitted."""
         return linearize(self.library, test, fitted.theta, fitted.whiten.noise)
+
+
+def _batches(candidates: Sequence[Candidate], size: int) -> Iterator[Sequence[Candidate]]:
+    """The candidates, so many at a time; without any, one empty batch, which says so in records."""
+    for start in range(0, max(len(candidates), 1), size):
+        yield candidates[start : start + size]
 
 
 def _fraction_done(accepted: int, part: float) -> float:

@@ -70,7 +70,7 @@ def choose_length(problem: Problem, settings: WindowLengthSettings = SETTINGS) -
     space = problem.space
     library = Library(problem.simulator, (), len(space))
     nominal = np.asarray(problem.simulator.nominal, dtype=float)
-    theta = np.clip(nominal, space.low, space.high)
+    theta = space.clip(nominal)
     sigma: Array | None = None
     for horizon in settings.horizons:
         if not _enough(problem, horizon, settings.fewest):

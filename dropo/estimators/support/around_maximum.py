@@ -181,7 +181,7 @@ class AroundMaximum:
     def _standard_errors(self, bound: LocalLogLikelihood) -> Array:
         """(d,) of the means, with a flat prior's information on the box added."""
         d = len(self.box)
-        best = np.clip(self.best, bound.unknowns.low, bound.unknowns.high)
+        best = bound.unknowns.clip(self.best)
         information = bound.value_score_information(best)[2][:d, :d] + np.diag(12 / self.box**2)
         return np.sqrt(np.abs(np.diagonal(np.linalg.inv(information))))
 
@@ -198,7 +198,7 @@ class AroundMaximum:
         factors = epsilon / model.shape
         if len(unknowns) != len(factors):
             factors = np.full(len(unknowns), np.exp(np.log(factors).mean()))
-        return np.clip(factors, unknowns.low, unknowns.high)
+        return unknowns.clip(factors)
 
 
 def unit_spread(target: Local) -> Array:
@@ -216,6 +216,6 @@ def unit_spread(target: Local) -> Array:
     space = target.unknowns
     with np.errstate(divide="ignore"):
         error = 1 / np.sqrt(np.diagonal(target.bound.value_score_information(target.best)[2]))
-    above = space.to_unit(np.clip(target.best + error, space.low, space.high))
-    below = space.to_unit(np.clip(target.best - error, space.low, space.high))
+    above = space.to_unit(space.clip(target.best + error))
+    below = space.to_unit(space.clip(target.best - error))
     return np.clip((above - below) / 2, 1e-9, 0.1)

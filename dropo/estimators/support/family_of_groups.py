@@ -95,9 +95,7 @@ def family_warnings(
             rng.spawn(1)[0],
         )
         start = population.phi(fit.mean, fit.sd)
-        phi = maximize_locally(
-            grouped, np.clip(start, grouped.unknowns.low, grouped.unknowns.high)
-        ).phi
+        phi = maximize_locally(grouped, grouped.unknowns.clip(start)).phi
     member = phi[: len(population.unknowns)]
     sd = population.sd(member)
     return check_family(

@@ -122,7 +122,7 @@ def estimate(
         variances = np.maximum(first.noise, lowest)
     half = plain_errors(first, width, settings) if step is None else step * width
     if prior:
-        begin = np.clip(first.value, prior.within.low, prior.within.high)
+        begin = prior.within.clip(first.value)
         last = _with_prior(problem, run, variances, begin, budget, half, prior)
     else:
         last = _solve(problem, run, variances, first.value, budget, half)

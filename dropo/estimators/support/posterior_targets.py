@@ -209,7 +209,7 @@ class Local(OneByOne):
     def __init__(self, bound: LocalLogLikelihood, best: Array):
         super().__init__(bound)
         self.bound: LocalLogLikelihood = bound
-        self.best = np.clip(best, self.unknowns.low, self.unknowns.high)
+        self.best = self.unknowns.clip(best)
 
     def value_score_information(self, phi: Array) -> tuple[Array, Array]:
         """Evaluate the log-likelihood with its gradient at many points.

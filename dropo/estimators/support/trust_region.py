@@ -535,7 +535,7 @@ class OuterIterations:
             else:
                 minimum = self.settings.minimum_start_scale * width
                 start[scale_index] = max(start[scale_index], minimum)
-        return np.clip(start, unknowns.low, unknowns.high)
+        return unknowns.clip(start)
 
     def _maximize(self, local: LocalLogLikelihood, start: Array) -> tuple[Array, bool]:
         """The local maximum (m,), and whether the search came to its own end."""

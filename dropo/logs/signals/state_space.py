@@ -444,19 +444,22 @@ def learn_noise(model: StateSpaceModel, known_noise: Array | None) -> tuple[Arra
                 learned = np.maximum(squared_errors, minimum_noise)
                 noise = np.where(model.measured, learned, noise)
         # A line search along the process noise; the next round is linearized where that led.
-        smoothed_by_factor = []
-        for factor in factors:
-            smoothed_by_factor.append(_smooth(model, linear, noise, factor * process))
-        log_likelihoods = np.array([one.filtered.log_likelihood for one in smoothed_by_factor])
+        by_factor = [_smooth(model, linear, noise, factor * process) for factor in factors]
+        log_likelihoods = np.array([smoothed.filtered.log_likelihood for smoothed in by_factor])
         best = int(np.argmax(log_likelihoods))
-        states = smoothed_by_factor[best].states
+        states = by_factor[best].states
         process = factors[best] * process
 
-    # Of the last round's factors that are nearly as likely as the best, take the largest: as they
-    # are in descending order, the first.
-    likely = log_likelihoods >= log_likelihoods.max() - settings.likelihood_tolerance
-    largest = int(np.flatnonzero(likely)[0])
+    largest = _largest_likely(log_likelihoods, settings.likelihood_tolerance)
     return noise, process * factors[largest] / factors[best]
+
+
+def _largest_likely(log_likelihoods: Array, tolerance: float) -> int:
+    """The index of the largest factor that is nearly as likely as the best: as factors are in
+    descending order, the first within the tolerance [nats].
+    """
+    likely = log_likelihoods >= log_likelihoods.max() - tolerance
+    return int(np.flatnonzero(likely)[0])
 
 
 def _forced_columns(signals: Sequence[Signal]) -> NDArray[np.bool_]:

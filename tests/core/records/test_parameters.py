@@ -108,3 +108,9 @@ def test_names_differ():
         match=r"'names' of ParameterSpace must be different from each other. Got \['x'\]",
     ):
         ParameterSpace((Parameter("x", 0.0, 1.0), Parameter("x", 0.0, 2.0)))
+
+
+def test_points_outside_go_to_the_nearest_of_the_box():
+    """Each parameter by itself, of many vectors at once; points inside stay as they are."""
+    space = ParameterSpace((Parameter("a", 0.0, 1.0), Parameter("b", -2.0, 2.0)))
+    np.testing.assert_array_equal(space.clip([[0.5, 3.0], [-1.0, -3.0]]), [[0.5, 2.0], [0.0, -2.0]])

@@ -257,7 +257,7 @@ class Fit(Report):
         require(0 < level < 1, "level", "between 0 and 1", level, "Fit.interval")
         half = student_quantile((1 + level) / 2, self._degrees()) * self.mean_se
         ends = np.stack([self.mean - half, self.mean + half])
-        return np.asarray(np.clip(ends, self.space.low, self.space.high).T)
+        return np.asarray(self.space.clip(ends).T)
 
     def sd_interval(self, level: float = 0.95) -> Array:
         """Confidence intervals of the distribution's standard deviations.

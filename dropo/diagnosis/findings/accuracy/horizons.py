@@ -272,7 +272,7 @@ def with_numbers(
     sizes = np.sqrt(np.maximum(values, 0.0))
     root = width[:, None] * vectors * np.where(sizes < TOLD, sizes, 0.0)
     thetas[1:, last.free] += own.standard_normal((draws, len(values))) @ root.T
-    thetas[1:] = np.clip(thetas[1:], space.low, space.high)
+    thetas[1:] = space.clip(thetas[1:])
     part, _ = _part_and_spread(problem, library, last)
     more = []
     for after in found:

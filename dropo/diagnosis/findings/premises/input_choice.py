@@ -2,8 +2,6 @@
 
 from collections.abc import Mapping
 
-import numpy as np
-
 from dropo.core.contracts.problem import Problem
 from dropo.core.services.registry import find
 from dropo.data.outliers.input_choice import InputChoice, choose_input
@@ -49,7 +47,7 @@ def choose_problem_input(
                 losses.append(instance)
     simulator = simulator.with_effects(losses)
     space = simulator.space
-    start = np.clip(simulator.nominal, space.low, space.high)
+    start = space.clip(simulator.nominal)
     step = simulator.control_step
     seconds = max(least_seconds, first.horizon * step)
     data = {name: problem.trajectories for name, problem in problems.items()}

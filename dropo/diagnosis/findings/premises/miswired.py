@@ -36,7 +36,7 @@ def miswired(problem: Problem, wiring: Wiring) -> Diagnosis:
     """
     causes = tuple(_cause(fault) for fault in wiring.faults if fault.evidence is not None)
     space = problem.space
-    nominal = np.clip(np.asarray(problem.simulator.nominal, dtype=float), space.low, space.high)
+    nominal = space.clip(np.asarray(problem.simulator.nominal, dtype=float))
     return Diagnosis(
         name=problem.name,
         verdict="partly",

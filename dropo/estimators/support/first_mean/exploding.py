@@ -68,7 +68,7 @@ def without_exploding(
     exponent = int(np.log2(settings.points))
     cube = 2 * sobol_points(len(space), exponent, np.random.default_rng(0)) - 1
     around = mean + settings.width * (space.high - space.low) * cube
-    points = np.concatenate([mean[None], np.clip(around, space.low, space.high)])
+    points = np.concatenate([mean[None], space.clip(around)])
     count = np.zeros(len(problem.segments), dtype=np.int64)
     for place, point in enumerate(points):
         with run.counting(evaluations=1):

@@ -8,6 +8,7 @@ import pytest
 
 import dropo.diagnosis.diagnose as module
 from dropo import Diagnose
+from dropo.core.records.parameters import Parameter, ParameterSpace
 from dropo.core.records.trajectories import Signal
 from dropo.diagnosis.diagnose import DiagnosisSettings
 from dropo.diagnosis.findings.accuracy import horizons
@@ -130,7 +131,7 @@ def test_noise_makes_errors_of_the_numbers_fitted(monkeypatch):
     """
     shape = (-1, WINDOWS, 2)
     predict = lambda thetas, windows: np.repeat(thetas.sum(axis=1), WINDOWS * 2).reshape(shape)
-    bounds = SimpleNamespace(low=np.array([-1.0, -1.0]), high=np.array([1.0, 1.0]))
+    bounds = ParameterSpace((Parameter("a", -1.0, 1.0), Parameter("b", -1.0, 1.0)))
     library = SimpleNamespace(simulator=SimpleNamespace(space=bounds, predict=predict))
     last = SimpleNamespace(theta=np.array([0.2, 0.3]), free=np.arange(2))
     monkeypatch.setattr(horizons, "_part_and_spread", lambda *given: (None, None))
