@@ -1,4 +1,4 @@
-"""`dropo data`: imports raw logs, describes and checks measured data, judges inputs, estimates
+"""`dropo data`: imports raw logs, describes and checks measured data, compares inputs, estimates
 states and infers actions.
 """
 

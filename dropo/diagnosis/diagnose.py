@@ -56,7 +56,7 @@ from dropo.diagnosis.parts import Cause, Leader, Remaining
 from dropo.diagnosis.regression.quick import QuickSettings
 from dropo.diagnosis.regression.wiring import Wiring, WiringSettings, wiring_of
 from dropo.diagnosis.result import Diagnosis, HeldOut
-from dropo.diagnosis.search.arithmetic import Arithmetic, Rivals
+from dropo.diagnosis.search.arithmetic import Arithmetic, ArithmeticAlternatives
 from dropo.diagnosis.search.bounds import at_bounds
 from dropo.diagnosis.search.confirmation import SelectionSettings, gain_of
 from dropo.diagnosis.search.invariance import invariance
@@ -113,14 +113,13 @@ class DiagnosisSettings:
     motions : FarOffSettings
         How they are fitted to whole motions.
     longest : int
-        Control steps at most of the windows by which such a model is judged ...
-    judged : int
+        Control steps at most of the windows by which such a model is evaluated ...
+    evaluated : int
         ... and about how many there are on each side ...
     exactly : int
         ... or, where more exact physics steps are taken, which cost several times as much.
     each : HeldOutSettings
-        By which windows it is judged whether such a model predicts as well without one of its many
-        effects.
+        The windows that say whether such a model predicts as well without one of its many effects.
     """
 
     windows: int = 96
@@ -129,7 +128,7 @@ class DiagnosisSettings:
     regression: QuickSettings = field(default_factory=QuickSettings)
     motions: FarOffSettings = field(default_factory=FarOffSettings)
     longest: int = 50
-    judged: int = 48
+    evaluated: int = 48
     exactly: int = 24
     each: HeldOutSettings = field(default_factory=lambda: EACH)
     selection: SelectionSettings = field(default_factory=SelectionSettings)
@@ -346,7 +345,7 @@ class Diagnose:
         library = Library(simulator.with_effects(everything), everything, len(problem.space))
         windows = self._windows(problem)
         if explained is not None:
-            most = self.settings.judged if explained.own_steps else self.settings.exactly
+            most = self.settings.evaluated if explained.own_steps else self.settings.exactly
             windows = min(windows, most)
         train, test = split(problem, length, windows)
         _refuse_constant(problem, train)
@@ -392,7 +391,7 @@ class Diagnose:
     def _result(
         self, task: "_Task", setup: "_Setup", searched: "_Searched", progress: Progress
     ) -> Diagnosis:
-        """What a search found, in figures; of one that was interrupted, only what is soon told."""
+        """What a search found, in figures; of one that was interrupted, only what is soon found."""
         data = setup.problem
         undisturbed = task.undisturbed
         library, selection = setup.library, setup.selection
@@ -620,8 +619,8 @@ class Diagnose:
             found = beyond_noise(more, 2, usual, settings, measured=measured)
         if not found:
             return rest, ()
-        told = _beyond(found, rest, setup.train.length)
-        return replace(rest, calibrated=False, where=(*rest.where, in_words(found))), told
+        beyond = _beyond(found, rest, setup.train.length)
+        return replace(rest, calibrated=False, where=(*rest.where, in_words(found))), beyond
 
     def _wants_laws(self, library: Library, last: State, rest: Remaining) -> bool:
         """Whether a law is to be looked for: something remains, or an effect only acts like it."""
@@ -788,7 +787,7 @@ class _Setup:
         noise = self._first_noise(theta)
         return self.selection.begin(self.train, self.test, theta, noise, self.free)
 
-    def judged(self) -> tuple[State, State, dict[str, Review]]:
+    def evaluated(self) -> tuple[State, State, dict[str, Review]]:
         """The model as it came, the one that explains whole motions, and this without each effect.
 
         Nothing is fitted to windows but the noise.
@@ -814,7 +813,7 @@ class _Setup:
         return first, last, reviews
 
     def certain(self, last: State) -> Set[str]:
-        """The labels of the effects of a model that are told from nothing."""
+        """The labels of a model's effects that are distinguished from nothing."""
         labels = {instance.label for instance in last.accepted}
         return labels if self.explained is None else labels & self.explained.certain
 
@@ -944,16 +943,18 @@ def _search(setup: _Setup) -> tuple[_Setup, _Searched]:
     """
     explained = setup.explained
     if explained is not None:
-        return setup, _Searched(*setup.judged(), explained.interrupted)
+        return setup, _Searched(*setup.evaluated(), explained.interrupted)
     first = setup.first()
     selection = setup.selection
     settings = selection.settings
-    rivals = Rivals(setup.library, selection.floor, settings, selection.log, first, setup.won)
+    alternatives = ArithmeticAlternatives(
+        setup.library, selection.floor, settings, selection.log, first, setup.won
+    )
     try:
-        last, reviews = _explain(setup, first, first, rivals)
-        if rivals.winner is None:
+        last, reviews = _explain(setup, first, first, alternatives)
+        if alternatives.winner is None:
             return setup, _Searched(first, last, reviews)
-        return _search(_stepped(setup, rivals.winner, rivals.gain))
+        return _search(_stepped(setup, alternatives.winner, alternatives.gain))
     except KeyboardInterrupt:
         selection.progress(0.9, STOPPING)
         last = selection.latest or first
@@ -962,18 +963,18 @@ def _search(setup: _Setup) -> tuple[_Setup, _Searched]:
 
 
 def _explain(
-    setup: _Setup, first: State, begun: State, rivals: Rivals | None = None
+    setup: _Setup, first: State, begun: State, alternatives: ArithmeticAlternatives | None = None
 ) -> tuple[State, dict[str, Review]]:
     """The model that the search ends with, and its effects' reviews.
 
-    It ends early where one of the rivals is better.
+    It ends early where one of the alternatives is better.
     """
     selection = setup.selection
     instances = setup.instances
     last, reviews = review(selection, begun)
     while True:
-        found = selection.run(first, last, instances, rivals)
-        if rivals is not None and rivals.winner is not None:
+        found = selection.run(first, last, instances, alternatives)
+        if alternatives is not None and alternatives.winner is not None:
             return last, reviews
         if found is last:
             break
@@ -1108,20 +1109,22 @@ def _not_white(library: Library, last: State, estimated: Collection[str]) -> tup
     estimated: signals whose errors follow each other by the way they were estimated.
     """
     noise = last.train.whiten.noise
-    told = []
+    sentences = []
     following = [
         f"{signal.name} ({rho:.2f} of each in the next)"
         for signal, rho in zip(library.simulator.signals, noise.rho, strict=True)
         if rho and signal.name not in estimated
     ]
     if following:
-        told.append(f"errors follow each other in {', '.join(following)}: taken for the sensors'")
+        sentences.append(
+            f"errors follow each other in {', '.join(following)}: taken for the sensors'"
+        )
     if noise.timing:
-        told.append(
+        sentences.append(
             f"control steps seem to differ in length by {noise.timing:.1%} (a standard deviation), "
             "and are taken to"
         )
-    return tuple(told)
+    return tuple(sentences)
 
 
 def _beyond(misfits: Sequence[Beyond], rest: Remaining, length: int) -> tuple[str, ...]:

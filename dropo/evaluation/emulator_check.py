@@ -116,8 +116,8 @@ def _impossible_draws(family: Family, values: Array) -> list[str]:
     likelihoods take the distribution without redraws.
     """
     space = family.space
-    share = ((values < space.lower) | (values > space.upper)).mean(axis=0)
-    pairs = zip(space.names, share, strict=True)
+    fraction = ((values < space.lower) | (values > space.upper)).mean(axis=0)
+    pairs = zip(space.names, fraction, strict=True)
     names = [f"{name} ({100 * part:.0f} %)" for name, part in pairs if part > 0]
     if not names:
         return []

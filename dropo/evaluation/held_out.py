@@ -43,7 +43,7 @@ class HeldOutSettings:
         Few trajectories are cut into so many blocks of time, of which every other one is held out.
     few_trajectories : int
         With fewer trajectories blocks of time are held out in the place of whole trajectories.
-    least_variance : float
+    minimum_variance : float
         Fraction of a signal's variance that counts as motion however large its noise is.
     """
 
@@ -54,7 +54,7 @@ class HeldOutSettings:
     fewest: int = 8
     blocks: int = 24
     few_trajectories: int = 4
-    least_variance: float = 1e-3
+    minimum_variance: float = 1e-3
 
     def count(self, horizon: int) -> int:
         """Return how many windows of a horizon are taken, where there are so many.
@@ -435,7 +435,7 @@ def noise_free_spread(
     """
     rows = part.trajectories.from_rows(np.flatnonzero(part.chosen))
     variance = signal_spread(simulator, simulator.targets(rows)) ** 2
-    return np.sqrt(np.maximum(variance - noise, settings.least_variance * variance))
+    return np.sqrt(np.maximum(variance - noise, settings.minimum_variance * variance))
 
 
 def stated_noise(problem: Problem) -> Array:

@@ -208,18 +208,18 @@ def _lost_motion(
     if not follows.any() or not (size > settings.rounding * targets.std(axis=0)).any():
         return []
     variance = np.maximum(targets.var(axis=0), 1e-300)
-    share = np.mean(residual**2, axis=0) / variance
+    fraction = np.mean(residual**2, axis=0) / variance
     pairs = np.mean((residual[1:] * residual[:-1])[follows], axis=0)
     successive = pairs / np.maximum(np.mean(residual**2, axis=0), 1e-300)
-    lost = np.flatnonzero((share > settings.lost) & (successive > settings.smooth))
+    lost = np.flatnonzero((fraction > settings.lost) & (successive > settings.smooth))
     if not len(lost):
         return []
-    worst = lost[np.argmax(share[lost])]
+    worst = lost[np.argmax(fraction[lost])]
+    name = problem.simulator.signals[worst].name
     return [
-        f"the fit does not follow the motion: the residuals of "
-        f"{problem.simulator.signals[worst].name} are {np.sqrt(share[worst]):.0%} of the signal's "
-        "spread. The search may have ended in a local optimum: start elsewhere, or narrow the "
-        "bounds"
+        f"the fit does not follow the motion: the residuals of {name} are "
+        f"{np.sqrt(fraction[worst]):.0%} of the signal's spread. The search may have ended in a "
+        "local optimum: start elsewhere, or narrow the bounds"
     ]
 
 
@@ -373,7 +373,7 @@ def _structure(
     return found, [f"the model is wrong: residuals of {what}"]
 
 
-def _scores(left: _StandardizedResiduals, features: Features, own_share: float) -> Array:
+def _scores(left: _StandardizedResiduals, features: Features, own_fraction: float) -> Array:
     """(p, F) normal scores of the product of residuals and features, these too without what
     parameters explain (Frisch and Waugh 1933).
     """
@@ -395,7 +395,7 @@ def _scores(left: _StandardizedResiduals, features: Features, own_share: float) 
         product = rest[:, j, None] * named
         for rows in blocks:
             product[rows] -= np.einsum("rd,rdf->rf", along[rows], fitted[left.group[rows]])
-        out[j] = np.where(own > own_share, _score_of_sum(product, left.units), 0.0)
+        out[j] = np.where(own > own_fraction, _score_of_sum(product, left.units), 0.0)
     return out
 
 

@@ -66,10 +66,10 @@ def whole_run(
     """
     data = part.trajectories
     has_unseen = part.chosen.any()
-    lengths = [
-        stop - start if part.chosen[start:stop].any() or not has_unseen else 0
-        for start, stop in data.spans
-    ]
+    lengths = []
+    for start, stop in data.spans:
+        may_be_shown = part.chosen[start:stop].any() or not has_unseen
+        lengths.append(stop - start if may_be_shown else 0)
     chosen = int(np.argmax(lengths))
     start, stop = data.spans[chosen]
     most = max(1, min(settings.steps, settings.numbers // len(simulator.signals)))

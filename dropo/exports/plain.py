@@ -155,15 +155,19 @@ def _npz(arrays: dict[str, Array]) -> bytes:
 
 def _constant(subject: Subject) -> list[str]:
     """The parameters of effects beside the model, which model.py has at their means."""
-    return [
-        f"The spread of {name} is left out: {instance.label} is no number of a model, and model.py "
-        "has it at its mean."
-        for instance, _ in subject.effects
-        for name in [one.name for one in instance.parameters]
-        if subject.distribution is not None
-        and name in subject.distribution.names
-        and instance.model is None
-    ]
+    if subject.distribution is None:
+        return []
+    sentences = []
+    for instance, _ in subject.effects:
+        if instance.model is not None:
+            continue
+        for parameter in instance.parameters:
+            if parameter.name in subject.distribution.names:
+                sentences.append(
+                    f"The spread of {parameter.name} is left out: {instance.label} is no number of "
+                    "a model, and model.py has it at its mean."
+                )
+    return sentences
 
 
 def writer_of(subject: Subject) -> ParameterWriter:

@@ -45,7 +45,7 @@ class ModeSettings:
         group's parameters.
     followed_move : float
         It is at least as wide as this fraction of the last move of its centre.
-    least_own_width : float
+    minimum_own_width : float
         It is at least as wide as this fraction of the population's emulator, which is the widest
         that it may be.
     settled_move : float
@@ -59,7 +59,7 @@ class ModeSettings:
     reach: float = 2.5
     own_width: float = 2.0
     followed_move: float = 0.7
-    least_own_width: float = 0.01
+    minimum_own_width: float = 0.01
     settled_move: float = 0.5
 
 
@@ -300,7 +300,7 @@ class _RandomEffects(GroupedLogLikelihood):
         moving = move > self.modes.settled_move * self.own.width
         limit = np.where(moving, widest, np.minimum(self.own.width / 2, widest))
         wanted = np.maximum(self.modes.own_width * sd, self.modes.followed_move * move)
-        width = np.maximum(np.minimum(wanted, limit), self.modes.least_own_width * widest)
+        width = np.maximum(np.minimum(wanted, limit), self.modes.minimum_own_width * widest)
 
         parts = {name: getattr(self.own, name).copy() for name in OWN_PARTS}
         of_segment = self.segments.group

@@ -74,7 +74,7 @@ class TrajectorySettings:
     value_step : float
         Half width of the first differences in the parameters, as a fraction of their intervals, and
         the largest one later: then it is a standard error.
-    least_value_step : float
+    minimum_value_step : float
         Smallest half width of the later ones, as a fraction of the intervals.
     prior_spread : float
         A start is within this many spreads of its coordinate from its first guess.
@@ -110,14 +110,14 @@ class TrajectorySettings:
     excess_z : float
         The model is wrong where it is larger by so many standard errors, too.
     slow_iteration : float
-        The first outer iteration that takes longer is told [s].
+        The first outer iteration that takes longer is shown [s].
     """
 
     window: int = 20
     growth: float = 1e3
     start_step: float = 1e-4
     value_step: float = 1e-3
-    least_value_step: float = 1e-5
+    minimum_value_step: float = 1e-5
     prior_spread: float = 10.0
     longest: float = 0.25
     outer_iterations: int = 30
@@ -320,7 +320,7 @@ class _JointSearch:
         self.given = False
         self.degrees: float | None = None
         self._last: tuple[_LinearizedState, _Linearized] | None = None
-        self._told = False
+        self._cost_is_shown = False
 
     # --- what is given
 
@@ -547,8 +547,8 @@ class _JointSearch:
 
     def _tell_cost(self, run: Run, seconds: float) -> None:
         """Tell once that outer iterations are slow."""
-        if not self._told and seconds > self.settings.slow_iteration:
-            self._told = True
+        if not self._cost_is_shown and seconds > self.settings.slow_iteration:
+            self._cost_is_shown = True
             run.progress(0.0, SLOW.format(duration_text(seconds)))
 
     def _iteration(self, position: _Position) -> _Position:
@@ -587,7 +587,7 @@ class _JointSearch:
         done = bool(np.all(np.abs(step) < settings.settled * errors))
         if done and (chosen >= 2 or (self.given and self._count > 1)):
             return replace(position, best=place, chosen=chosen, ended=SETTLED)
-        least = settings.least_value_step * self.width
+        least = settings.minimum_value_step * self.width
         value_step = np.clip(errors, least, settings.value_step * self.width)
         state = self.shifted(linearized, step)
         if not near:  # far off, motion may have looked more unstable than it is

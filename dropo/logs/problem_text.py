@@ -282,11 +282,8 @@ class _Bounds:
             whole = len(names) == len(self._robot.actuators)
             listed = '"*"' if whole else f"[{', '.join(map(_quote, names))}]"
             shared = ", shared: true" if len(names) > 1 else ""
-            key = (
-                "gain"
-                if len(kinds) == 1
-                else f"gain_of_{'servos' if len(field) == 1 else 'motors'}"
-            )
+            kind = "servos" if len(field) == 1 else "motors"
+            key = "gain" if len(kinds) == 1 else f"gain_of_{kind}"
             lines.append(self._factor(key, field, listed, shared))
         return lines
 

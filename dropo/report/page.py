@@ -199,7 +199,7 @@ def table(header: Sequence[str], rows: Sequence[Sequence[Cell]], *, told: bool =
         HTML.
     """
     head = "".join(
-        f'<th scope="col"><button type="button"{_told(name)}>{escape(name)}</button></th>'
+        f'<th scope="col"><button type="button"{_explained(name)}>{escape(name)}</button></th>'
         for name in header
     )
     body = "".join(f"<tr>{''.join(map(_cell, row))}</tr>" for row in rows)
@@ -210,7 +210,7 @@ def table(header: Sequence[str], rows: Sequence[Sequence[Cell]], *, told: bool =
     )
 
 
-def _told(name: str) -> str:
+def _explained(name: str) -> str:
     """The attribute that says what a column's title means, where the glossary has it."""
     says = meaning(name)
     return f' title="{escape(says)}"' if says else ""

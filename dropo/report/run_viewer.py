@@ -112,12 +112,11 @@ def said(found: Predictions, run: WholeRun) -> str:
 
 def _missed(found: Predictions, run: WholeRun, i: int, both: bool) -> str:
     """The errors of the signal that is shown first, in a sentence."""
-    errors = [
-        float(np.sqrt(np.nanmean(np.square(run.measured[:, i] - line[:, i]))))
-        if np.isfinite(line[:, i]).any()
-        else np.nan
-        for line in (run.before, run.after)
-    ]
+    errors = []
+    for line in (run.before, run.after):
+        missed = run.measured[:, i] - line[:, i]
+        known = np.isfinite(line[:, i]).any()
+        errors.append(float(np.sqrt(np.nanmean(np.square(missed)))) if known else np.nan)
     after = f"{plain(errors[1], 3)} {found.units[i]}".rstrip()
     if not both:
         return f"{found.names[i]} is off by {after} (root mean square)."

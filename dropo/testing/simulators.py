@@ -237,12 +237,12 @@ def _check_jacobian(
         f"{name}.jacobian and linearize differ"
     )
     # not the step of the base class, so that agreement means something
-    step = 3 * simulator.least_step * width
+    step = 3 * simulator.minimum_step * width
     ahead = simulator.predict(centre + np.diag(step), segments)
     behind = simulator.predict(centre - np.diag(step), segments)
     quotients = (ahead - behind) / (2 * step)[:, None, None]
     differences = np.moveaxis(quotients, 0, -1)  # (R, p, d)
-    relative = max(1e-8, 10 * simulator.least_step**2)  # of quotients over the least step
+    relative = max(1e-8, 10 * simulator.minimum_step**2)  # of quotients over the least step
     rounding = relative * np.abs(prediction).max(axis=0)[:, None] / width
     tolerance = rtol * np.abs(differences).max(axis=0) + rounding
     wrong = np.abs(sensitivities - differences) > tolerance

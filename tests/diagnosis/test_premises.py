@@ -10,7 +10,7 @@ import pytest
 from dropo.diagnosis import diagnose
 from dropo.diagnosis.diagnose import Diagnose, DiagnosisSettings
 from dropo.diagnosis.findings.accuracy.every_horizon import EveryHorizonSettings
-from dropo.diagnosis.search.arithmetic import Rivals
+from dropo.diagnosis.search.arithmetic import ArithmeticAlternatives
 from dropo.diagnosis.search.whitening import WhitenessSettings
 from dropo.problems.file.estimated_velocities import with_velocities
 from dropo.studies.first_models.machines import (
@@ -87,7 +87,7 @@ def test_long_physics_steps_are_no_cause(servo, monkeypatch):
     found = search.run(servo)
     assert found.causes == ()
     assert 'integrator="RK4"' in found.numerics[0]
-    monkeypatch.setattr(Rivals, "__call__", lambda *given: False)
+    monkeypatch.setattr(ArithmeticAlternatives, "__call__", lambda *given: False)
     (refused,) = search.run(servo).leaders
     assert (refused.effect, refused.steps) == ("actuator_delay", 10)
     by_windows = DiagnosisSettings(horizons=EveryHorizonSettings(worse=np.inf))

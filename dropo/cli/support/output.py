@@ -106,8 +106,8 @@ class Progress:
         if self.silent or threading.current_thread() is not threading.main_thread():
             yield
             return
-        heard, told = socket.socketpair()
-        told.setblocking(False)
+        heard, signalled = socket.socketpair()
+        signalled.setblocking(False)
 
         def listen() -> None:
             """Say the text for the first of the signals."""
@@ -119,12 +119,12 @@ class Progress:
 
         thread = threading.Thread(target=listen, name="answering", daemon=True)
         thread.start()
-        before = signal.set_wakeup_fd(told.fileno(), warn_on_full_buffer=False)
+        before = signal.set_wakeup_fd(signalled.fileno(), warn_on_full_buffer=False)
         try:
             yield
         finally:
             signal.set_wakeup_fd(before)
-            told.close()
+            signalled.close()
             thread.join()
             heard.close()
 

@@ -53,7 +53,7 @@ class Simulator(ABC):
         The parameters' values before any fit, where there are such.
     control_step : float or None
         The time for which one action is held [s]; None, the default, where it is not known.
-    least_step : float
+    minimum_step : float
         The least half width of differences, as a fraction of a parameter's interval or a start's
         spread, that rounding does not drown: more than the default in single precision.
     model : MjModel or None
@@ -68,7 +68,7 @@ class Simulator(ABC):
     steps_per_action: int = 1
     nominal: Array | None = None
     control_step: float | None = None
-    least_step: float = STEP
+    minimum_step: float = STEP
     model: Any = None
 
     def predict(
@@ -283,7 +283,7 @@ class Simulator(ABC):
             What is replayed.
         step : (d,) array_like, optional
             Half widths of the central differences, in the parameters' units; by default
-            `least_step` of each parameter's interval, kept in bounds.
+            `minimum_step` of each parameter's interval, kept in bounds.
 
         Returns
         -------
@@ -328,7 +328,7 @@ class Simulator(ABC):
         d = len(self.space)
         centre = float_array("values", values, (d,), f"{type(self).__name__}.linearize")
         if step is None:
-            half = self.least_step * (self.space.high - self.space.low)
+            half = self.minimum_step * (self.space.high - self.space.low)
         else:
             half = float_array("step", step, (d,), "linearize")
         design = self.space.feasible(centre + axial_design(half, -half))  # (2 d + 1, d)
@@ -359,7 +359,7 @@ class Simulator(ABC):
             differentiated by its own segment's start, with all before it as it is.
         step : (s,) array_like, optional
             Half widths of the central differences in the s start coordinates; by default
-            `least_step` of each one's spread over the segments, or of 1 where it does not vary or
+            `minimum_step` of each one's spread over the segments, or of 1 where it does not vary or
             starts have other columns than coordinates, as with rotations.
 
         Returns
@@ -377,7 +377,7 @@ class Simulator(ABC):
         caller = f"{type(self).__name__}.linearize_starts"
         value = float_array("values", values, (len(self.space),), caller)
         if step is None:
-            half = self.least_step * self._start_spread(segments)
+            half = self.minimum_step * self._start_spread(segments)
         else:
             half = float_array("step", step, (self.start_size,), caller)
         predictions = predict_from_starts(self, value, segments, axial_design(half, -half))

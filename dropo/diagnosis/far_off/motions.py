@@ -39,7 +39,8 @@ class LongWindowSettings:
     pool : int
         Windows to fit are chosen from about this many times as many.
     looked_at : int
-        Of so many times the windows that are wanted it is found out which the start's noise bends.
+        Of so many times the windows that are wanted it is found out in which the start's noise acts
+        nonlinearly.
     resting : float
         Fraction of a signal's usual change below which it rests.
     spans : int
@@ -52,6 +53,9 @@ class LongWindowSettings:
     rate_noise : float
         Lower bound of a rate's noise at the start, as a fraction of the rate's spread: rates were
         mostly estimated from positions.
+    known_before : float
+        What is known of how a signal moves before any window is chosen, beside what a usual window
+        says of it.
     """
 
     seconds: tuple[float, ...] = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 20.0)
@@ -66,19 +70,30 @@ class LongWindowSettings:
     few: int = 4
     start: float = 0.1
     rate_noise: float = 0.05
+    known_before: float = 0.01
+
+
+@dataclass(frozen=True)
+class OuterSpreadSettings:
+    """Which of many errors stands for the size of all: where a machine mostly rests, their median
+    is that of rest.
+
+    Attributes
+    ----------
+    quantile : float
+        The quantile of the errors' absolute values.
+    of_normal : float
+        That quantile of normal errors, in their standard deviations.
+    """
+
+    quantile: float = 0.9
+    of_normal: float = 1.645
 
 
 SETTINGS = LongWindowSettings()
 FEW = WindowSettings(fewest=3)
 """Long windows may be few: each has many pieces."""
-TOLD = 0.01
-"""What is told of how a signal moves before any window is chosen, beside what one usually tells."""
-OUTER = 0.9
-"""The part of errors whose size stands for all of them: where a machine mostly rests, the median
-is that of rest.
-"""
-OUTER_NORMAL = 1.645
-"""That size in standard deviations, of normal errors."""
+OUTER = OuterSpreadSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,10 +240,10 @@ def motions_of(
     compared = ~is_rate if not is_rate.all() else is_rate
     count = _count(problem, length, settings)
     pool = cut(problem, whole, length, settings.pool * count, "fit", FEW)
-    order = _most_telling(pool, compared, settings.looked_at * count)
-    shares = _curved_shares(problem, library, theta, pool.take(order))
-    # Those that the start's noise bends too much come last, the least bent of them first.
-    bent = np.maximum(shares, settings.curved)
+    order = _most_informative(pool, compared, settings.looked_at * count, settings)
+    fractions = _curved_fractions(problem, library, theta, pool.take(order))
+    # Those in which the start's noise acts too nonlinearly come last, the most linear first.
+    bent = np.maximum(fractions, settings.curved)
     train = pool.take(order[np.argsort(bent, kind="stable")[:count]])
     test = _held_out(problem, length, settings)
     start_sd = first_noise(problem, library, train, theta, noise_floor(library.simulator, train))
@@ -238,8 +253,8 @@ def motions_of(
     few = _motions(library, theta, some, compared, start_sd)
     rows = few.residuals(library.predict(theta[None], some)[0]).reshape(-1, len(few.noise))
     error = np.tile(np.fmax(few.noise, deviation(rows)), length)
-    shares = (few.loadings * start_sd / error[:, None]) ** 2
-    matters = shares.sum(axis=2).mean() > settings.start
+    fractions = (few.loadings * start_sd / error[:, None]) ** 2
+    matters = fractions.sum(axis=2).mean() > settings.start
     make = _motions if matters else _from_known_starts
     return (
         make(library, theta, train, compared, start_sd),
@@ -247,10 +262,12 @@ def motions_of(
     )
 
 
-def _most_telling(windows: Windows, compared: np.ndarray, wanted: int) -> Ints:
+def _most_informative(
+    windows: Windows, compared: np.ndarray, wanted: int, settings: LongWindowSettings
+) -> Ints:
     """The indices of so many windows, those first whose motions differ most from what is chosen.
 
-    How far and how fast each signal moves in a window stands for what it tells of a joint; one
+    How far and how fast each signal moves in a window stands for what it says of a joint; one
     after another is taken that adds most to the determinant of these numbers' products.
     """
     shape = (len(windows), windows.length, len(compared))
@@ -259,8 +276,8 @@ def _most_telling(windows: Windows, compared: np.ndarray, wanted: int) -> Ints:
     moved = np.concatenate([signals.std(axis=1), speed], axis=1)
     moved /= np.maximum(np.sqrt(np.mean(moved**2, axis=0)), 1e-300)
     # By the inverse of the products so far, begun with little more than nothing.
-    inverse = np.eye(moved.shape[1]) / TOLD
-    gain = np.sum(moved**2, axis=1) / TOLD
+    inverse = np.eye(moved.shape[1]) / settings.known_before
+    gain = np.sum(moved**2, axis=1) / settings.known_before
     chosen = []
     for _ in range(min(wanted, len(windows))):
         best = int(np.argmax(gain))
@@ -302,7 +319,7 @@ def _noise_by_differences(windows: Windows, p: int) -> tuple[Array, Array]:
     return outer_spread(thirds) / np.sqrt(20.0), of_tick
 
 
-def outer_spread(errors: Array) -> Array:
+def outer_spread(errors: Array, settings: OuterSpreadSettings = OUTER) -> Array:
     """Estimate the standard deviation of errors about 0 by one of the larger ones.
 
     Errors that are not finite are larger than all others.
@@ -311,14 +328,17 @@ def outer_spread(errors: Array) -> Array:
     ----------
     errors : (n, p) array
         Errors of p signals.
+    settings : OuterSpreadSettings
+        Which one.
 
     Returns
     -------
     (p,) array
-        The quantile `OUTER` of the sizes, in standard deviations of normal errors.
+        The quantile of the sizes, in standard deviations of normal errors.
     """
     sizes = np.abs(np.where(np.isfinite(errors), errors, np.inf))
-    return np.asarray(np.quantile(sizes, OUTER, axis=0, method="higher") / OUTER_NORMAL)
+    outer = np.quantile(sizes, settings.quantile, axis=0, method="higher")
+    return np.asarray(outer / settings.of_normal)
 
 
 def _motions(
@@ -338,7 +358,7 @@ def _motions(
 def _held_out(problem: Problem, length: int, settings: LongWindowSettings) -> Windows:
     """Windows of the data held out, of this length or, where there are too few, of half of it."""
     if problem.held_out is None:
-        raise BadArgument("Whole motions are judged by data held out. Got none.")
+        raise BadArgument("Whole motions are evaluated on data held out. Got none.")
     part = whole_part(problem.held_out)
     while True:
         try:
@@ -385,7 +405,7 @@ def _count(problem: Problem, length: int, settings: LongWindowSettings) -> int:
     return max(settings.tried, steps // length)
 
 
-def _curved_shares(problem: Problem, library: Library, theta: Array, windows: Windows) -> Array:
+def _curved_fractions(problem: Problem, library: Library, theta: Array, windows: Windows) -> Array:
     """(W,) the part of errors in the last quarter that the start's noise makes by curvature.
 
     Infinite where a simulation diverges.
@@ -402,14 +422,14 @@ def _curved_shares(problem: Problem, library: Library, theta: Array, windows: Wi
     linear = 0.5 * (late[1] - late[2])
     noise = np.tile(sigma, late.shape[2] // p)
     of_curve = np.mean((curved / noise) ** 2, axis=1)
-    share = of_curve / (1 + np.mean((linear / noise) ** 2, axis=1) + of_curve)
-    return np.where(np.isfinite(share), share, np.inf)
+    fraction = of_curve / (1 + np.mean((linear / noise) ** 2, axis=1) + of_curve)
+    return np.where(np.isfinite(fraction), fraction, np.inf)
 
 
 def _curvature(problem: Problem, library: Library, theta: Array, windows: Windows) -> float:
     """What is bent of most windows."""
-    share = _curved_shares(problem, library, theta, windows)
-    good = share[np.isfinite(share)]
-    if len(good) < 0.5 * len(share):
+    fraction = _curved_fractions(problem, library, theta, windows)
+    good = fraction[np.isfinite(fraction)]
+    if len(good) < 0.5 * len(fraction):
         return np.inf
     return float(np.median(good))

@@ -48,7 +48,7 @@ class OutputErrorSettings:
         Width of differences both ways, which are narrow, as a fraction of the number.
     settling : int
         Largest number of Jacobians by narrow differences with which a fit settles.
-    least_width : float
+    minimum_width : float
         Smallest width of any difference, as a fraction of the usual width.
     piece : float
         Length of the pieces of motions whose errors are taken as independent [s].
@@ -71,7 +71,7 @@ class OutputErrorSettings:
     of_value: float = 0.01
     of_value_central: float = 1e-5
     settling: int = 2
-    least_width: float = 1e-3
+    minimum_width: float = 1e-3
     piece: float = 0.5
     pieces: int = 10
 
@@ -349,8 +349,8 @@ class OutputError:
         here = theta[free]
         usual = self.library.steps[free]
         settings = self.settings
-        share = settings.of_value_central if central else settings.of_value
-        width = np.maximum(share * np.abs(here), settings.least_width * usual)
+        fraction = settings.of_value_central if central else settings.of_value
+        width = np.maximum(fraction * np.abs(here), settings.minimum_width * usual)
         width = np.minimum(usual, width)
         upper = np.minimum(here + width, space.high[free])
         lower = np.maximum(here - width, space.low[free])
@@ -534,10 +534,10 @@ class OutputError:
         of_data = sandwich(rows, information, Units(label, False, label, "pieces"))[0]
         inverse = self._inverse(information)
         covariance = np.asarray(of_data + inverse @ prior @ inverse)
-        not_told = np.isnan(np.diag(covariance))
-        covariance[not_told] = 0.0
-        covariance[:, not_told] = 0.0
-        covariance[not_told, not_told] = np.inf
+        not_identifiable = np.isnan(np.diag(covariance))
+        covariance[not_identifiable] = 0.0
+        covariance[:, not_identifiable] = 0.0
+        covariance[not_identifiable, not_identifiable] = np.inf
         return covariance
 
     def halved(self, theta: Array, residuals: Array) -> Array:

@@ -16,7 +16,7 @@ from dropo.diagnosis.far_off.model import GAIN, FarOffModel
 from dropo.diagnosis.far_off.motions import LongWindowSettings, Motions, motions_of, outer_spread
 from dropo.diagnosis.far_off.output_error import Fitted, Known, OutputError, OutputErrorSettings
 from dropo.diagnosis.far_off.ties import ties_of
-from dropo.diagnosis.search.arithmetic import ArithmeticSettings, rivals_of
+from dropo.diagnosis.search.arithmetic import ArithmeticSettings, alternatives_of
 from dropo.diagnosis.search.bounds import at_bounds, totals_of
 from dropo.diagnosis.search.library import robot_of
 from dropo.diagnosis.search.linearization import Library
@@ -121,7 +121,7 @@ class Explained:
     errors : (m,) array
         Their standard errors; 0 of what was not fitted.
     certain : frozenset of str
-        The labels of effects that are told from nothing.
+        The labels of effects that are distinguished from nothing.
     without : dict of str to (m,) array
         By effect's label, the numbers without it, the others moved to make up for it.
     length : int
@@ -304,14 +304,14 @@ class FarOffSearch:
         simulator = model.library.simulator
         if model.arithmetic is not None or not isinstance(simulator, RobotSimulator):
             return model
-        rivals = rivals_of(simulator, self.settings.steps)
-        if not rivals:
+        alternatives = alternatives_of(simulator, self.settings.steps)
+        if not alternatives:
             return model
         self.progress(0.22, "more exact physics steps")
         error = self._error(model, sides.few)
         end = error.linearize(model.theta, model.fitted)
         left = []
-        for arithmetic in rivals:
+        for arithmetic in alternatives:
             other = self._error(replace(model, arithmetic=arithmetic), sides.few)
             left.append((error.left_after_step(end, other.judged(model.theta)), arithmetic))
         # The cheapest of those that promise nearly as much as any.
@@ -484,7 +484,7 @@ class FarOffSearch:
         return np.minimum(np.nan_to_num(found, nan=np.inf), space.high - space.low)
 
     def _certain(self, model: FarOffModel, errors: Array, beside: Array) -> frozenset[str]:
-        """The labels of the effects that are told from nothing."""
+        """The labels of the effects that are distinguished from nothing."""
         found = set()
         for instance, sizes in model.numbers:
             place = model.library.places[instance.label][0]

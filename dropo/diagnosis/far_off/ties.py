@@ -1,4 +1,4 @@
-"""What of the numbers motions tell only together."""
+"""Which numbers motions identify only together."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ from dropo.diagnosis.far_off.model import GAIN, FarOffModel
 
 @dataclass(frozen=True)
 class TieSettings:
-    """When numbers are told only together.
+    """When numbers are identifiable only together.
 
     Attributes
     ----------
@@ -62,9 +62,9 @@ def ties_of(
         A sentence for each set: each member, and its change where the first one is off by its
         error. A gain comes first.
     """
-    told = np.isfinite(np.diag(covariance))
-    covariance = covariance[np.ix_(told, told)]
-    free = free[told]
+    identifiable = np.isfinite(np.diag(covariance))
+    covariance = covariance[np.ix_(identifiable, identifiable)]
+    free = free[identifiable]
     spread = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     correlation = covariance / np.outer(spread, spread)
     alone = 1 / np.sqrt(np.maximum(np.diag(np.linalg.pinv(correlation, hermitian=True)), 1e-300))

@@ -26,7 +26,7 @@ class StabilitySettings:
     ----------
     lengths : tuple of float
         Other lengths of windows, in that of the diagnosis.
-    rivals : int
+    alternatives : int
         Other effects, those that promised most, beside which it is screened.
     stride : int
         One window of so many is taken of the other lengths.
@@ -35,7 +35,7 @@ class StabilitySettings:
     """
 
     lengths: tuple[float, ...] = (0.5, 2.0)
-    rivals: int = 7
+    alternatives: int = 7
     stride: int = 2
     nearly: float = 0.9
 
@@ -67,7 +67,7 @@ def stability(
     found : Review
         What became of it when it was evaluated again.
     alike : collection of Alternative
-        The effects that cannot be told from it.
+        The effects that cannot be distinguished from it.
     settings : StabilitySettings
         How it is tried again.
 
@@ -81,15 +81,15 @@ def stability(
     without = found.without
     present = {other.label for other in without.accepted}
     same = {(other.effect, other.target, other.variant) for other in alike}
-    rivals = []
+    alternatives = []
     for candidate in found.origin.screened:
         other = candidate.instance
         # The target of an effect with a time profile is the label of the one without.
         is_itself = instance.label in (other.label, other.target)
         is_alike = (other.effect, other.target, other.variant) in same
         if not (is_itself or is_alike or other.label in present):
-            rivals.append(other)
-    tried = [instance, *rivals[: settings.rivals]]
+            alternatives.append(other)
+    tried = [instance, *alternatives[: settings.alternatives]]
 
     def named(windows: LinearizedWindows, *parts: Ints) -> list[bool]:
         """Whether, in each part of the windows, nothing but its likes promises more."""

@@ -186,15 +186,15 @@ def find_laws(
         found = _confirmed(selection, last, first, proposals, count, settings)
         if found is None:
             break
-        law, told, state, larger = found
-        laws[law.label] = told
+        law, summary, state, larger = found
+        laws[law.label] = summary
         selection, first, last = _extended(selection, larger), _padded(first, larger), state
         # With the law, others may be confirmed, and what stood in for it not be needed any more.
         last, reviews = review(selection, last)
         last = selection.run(first, last, instances)
         last, reviews = review(selection, last)
     present = {instance.label for instance in last.accepted}
-    laws = {label: told for label, told in laws.items() if label in present}
+    laws = {label: summary for label, summary in laws.items() if label in present}
     if not laws or _some_horizon_is_worse(problem, selection, begun, last, rng, settings):
         return None
     selection.latest = last
@@ -456,8 +456,8 @@ def _confirmed(
             continue
         if not _of_the_machine(library, state, polished, needed, selection):
             continue
-        told = _told(proposal, alike, trial, polished, by_trial, selection)
-        return trial.candidate.instance, told, polished, library
+        summary = _summary_of(proposal, alike, trial, polished, by_trial, selection)
+        return trial.candidate.instance, summary, polished, library
     return None
 
 
@@ -522,12 +522,13 @@ def _fitted(proposal: Proposal, law: EffectInstance, polished: State, library: L
     """The constants (k,) before the terms of a proposal as fitted, with their signs."""
     numbers = polished.theta[library.places[law.label]]
     by_name = dict(zip([q.name for q in law.quantities], numbers.tolist(), strict=True))
-    several = len(proposal.shapes) > 1
-    names = [f"{LETTER}{k + 1}" if several else LETTER for k in range(len(proposal.shapes))]
+    names = [LETTER]
+    if len(proposal.shapes) > 1:
+        names = [f"{LETTER}{k + 1}" for k in range(len(proposal.shapes))]
     return np.array([np.sign(s) * by_name[n] for n, s in zip(names, proposal.sizes, strict=True)])
 
 
-def _told(
+def _summary_of(
     proposal: Proposal,
     alike: Sequence[Proposal],
     accepted: Trial,
@@ -535,7 +536,7 @@ def _told(
     trials: Mapping[int, _Tried],
     selection: Selection,
 ) -> FoundLaw:
-    """The name of a law, and the formulas that cannot be told from it.
+    """The name of a law, and the formulas that cannot be distinguished from it.
 
     One with more terms beside those of the law is no other one.
     """

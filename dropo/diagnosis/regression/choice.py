@@ -172,7 +172,7 @@ class Chooser:
     def without_needless(self, solution: Solution, groups: Sequence[Group]) -> Solution:
         """Drop the groups, and the payload, that data held out do not ask for, one at a time.
 
-        The one that is worth least goes first, and all other numbers are fitted again after each.
+        The one of the smallest gain goes first, and all other numbers are fitted again after each.
 
         Parameters
         ----------
@@ -214,7 +214,7 @@ class Chooser:
         tables: BlockTables,
         present: Array,
     ) -> list[tuple[float, Solution]]:
-        """The solution without some terms, with what they are worth, if that is too little."""
+        """The solution without some terms, with what these gain, if that is too little."""
         errors = self.held_out(without, tables)
         if self._is_worth(errors, present, self._drive_size(solution, dropped)):
             return []
@@ -321,7 +321,7 @@ class Chooser:
             )
         return share
 
-    # ---- what groups are worth on data held out
+    # ---- what groups gain on data held out
 
     def tables(self, solution: Solution) -> BlockTables:
         """Compute what linear solves need of each block, by a solution's weights and delay.

@@ -364,7 +364,7 @@ class Fitter:
             size = np.einsum("ij,jk,ik->i", numbers, left, numbers)
             seen = (along > 0) & (size > 1e-9 * np.trace(left))
             gains = np.where(seen, along**2 / np.where(seen, size, 1.0), 0.0)
-            # Of places that motions do not tell apart, the nearest to the centre.
+            # Of places that motions do not distinguish, the nearest to the centre.
             as_good = np.flatnonzero(gains >= (1 - self.settings.same_gain) * gains.max())
             k = int(as_good[np.argmin(np.linalg.norm(places[as_good] - centre, axis=1))])
             if gains[k] <= best[0]:
@@ -516,8 +516,8 @@ class Fitter:
         # What is left is no noise: a part of it may lie along any number, the same in all blocks.
         common = self.settings.misfit * float(np.count_nonzero(solution.weights)) * inverse
         covariance = np.asarray(inverse @ middle @ inverse + common)
-        not_told = np.flatnonzero(np.isinf(scale))
-        covariance[not_told, not_told] = np.inf
+        not_identifiable = np.flatnonzero(np.isinf(scale))
+        covariance[not_identifiable, not_identifiable] = np.inf
         return covariance
 
 

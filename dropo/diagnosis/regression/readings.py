@@ -55,9 +55,9 @@ class ReadingSettings:
     block : float
         Length of the blocks of time that errors are computed from [s].
     moving : float
-        A joint is judged if its positions spread by more standard deviations of their noise.
+        A joint is evaluated if its positions spread by more standard deviations of their noise.
     fewest : int
-        Rows in which a joint must move, on each side, to be judged.
+        Rows in which a joint must move, on each side, to be evaluated.
     still : float
         A joint rests where it is slower than this fraction of its RMS speed ...
     still_noise : float
@@ -230,7 +230,7 @@ class Readings:
         return found
 
     @cached_property
-    def judged(self) -> tuple[int, ...]:
+    def evaluated(self) -> tuple[int, ...]:
         """The driven degrees of freedom that move and are commanded in the data."""
         moves = self._motion(self.plain).moves
         fewest = self.settings.fewest
@@ -248,7 +248,7 @@ class Readings:
         return tuple(found)
 
     def fits(self, reading: Reading) -> dict[int, JointFit]:
-        """Fit the forces of every judged joint.
+        """Fit the forces of every evaluated joint.
 
         Parameters
         ----------
@@ -260,7 +260,7 @@ class Readings:
         dict of int to JointFit
             By degree of freedom.
         """
-        return {dof: self._fit(reading, dof) for dof in self.judged}
+        return {dof: self._fit(reading, dof) for dof in self.evaluated}
 
     @property
     def tried(self) -> int:

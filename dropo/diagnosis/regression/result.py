@@ -76,15 +76,15 @@ class WiringFault:
     @property
     def sentences(self) -> str:
         """What is wrong, how much of the error that is, and what to change."""
-        told = [self.text]
+        sentences = [self.text]
         if self.evidence is not None:
-            told.append(
+            sentences.append(
                 f"Read right, {self.evidence.removed:.1%} of the squared error of the forces there "
                 "is gone on data held out."
             )
         if self.to_change:
-            told.append(f"To mend it, {self.to_change}")
-        return " ".join(told)
+            sentences.append(f"To mend it, {self.to_change}")
+        return " ".join(sentences)
 
     @classmethod
     def from_json(cls, saved: Mapping[str, Any]) -> Self:

@@ -673,8 +673,10 @@ def _followers(
     if not servos:
         return None
     log = UniformLog(simulator, trajectories)
-    positions = [rows[:, [joint.qpos for joint, _ in servos]] for rows in log.positions]
-    commands = [rows[:, [servo for _, servo in servos]] for rows in log.commands]
+    joint_columns = [joint.qpos for joint, _ in servos]
+    servo_columns = [servo for _, servo in servos]
+    positions = [rows[:, joint_columns] for rows in log.positions]
+    commands = [rows[:, servo_columns] for rows in log.commands]
     sizes = np.concatenate(_centred(commands)).std(axis=0)
     spread = np.concatenate(_centred(positions)).std(axis=0)
     moves = (sizes > settings.moving * sizes.max()) & (spread > 1e-9 * max(spread.max(), 1e-300))

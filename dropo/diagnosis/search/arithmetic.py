@@ -1,9 +1,9 @@
-"""Other physics steps and integrators as rivals of the causes, on equal terms.
+"""Other physics steps and integrators as alternatives to the causes, on equal terms.
 
 A model's own steps act like delays, inertia and damping. Before an effect is accepted, the model
-without it is therefore fitted with steps that are more exact, too: a rival that costs no number. It
-is tried as an effect is, with the linearization in the start's noise as it is, and only fitted to
-the end where windows held out confirm that.
+without it is therefore fitted with steps that are more exact, too: an alternative that costs no
+number. It is tried as an effect is, with the linearization in the start's noise as it is, and only
+fitted to the end where windows held out confirm that.
 """
 
 from collections.abc import Callable
@@ -45,11 +45,11 @@ class Arithmetic:
 
 @dataclass(frozen=True)
 class ArithmeticSettings:
-    """Which rivals there are.
+    """Which alternatives there are.
 
     Attributes
     ----------
-    rivals : tuple of Arithmetic
+    alternatives : tuple of Arithmetic
         The cheapest first. The last is for machines too stiff for Runge and Kutta.
     of_runge_kutta : tuple of Arithmetic
         Those of a model that is stepped by Runge and Kutta already.
@@ -65,7 +65,7 @@ class ArithmeticSettings:
         Another winner must gain this fraction of what the one before did: a search anew costs much.
     """
 
-    rivals: tuple[Arithmetic, ...] = (
+    alternatives: tuple[Arithmetic, ...] = (
         Arithmetic(1, "RK4"),
         Arithmetic(2, "RK4"),
         Arithmetic(4),
@@ -81,7 +81,7 @@ class ArithmeticSettings:
 SETTINGS = ArithmeticSettings()
 
 
-def rivals_of(
+def alternatives_of(
     simulator: RobotSimulator, settings: ArithmeticSettings = SETTINGS
 ) -> tuple[Arithmetic, ...]:
     """Return the more exact steps of a model with its integrator, the cheapest first.
@@ -99,11 +99,11 @@ def rivals_of(
     """
     if integrator(simulator.model) == "RK4":
         return settings.of_runge_kutta
-    return settings.rivals
+    return settings.alternatives
 
 
 @dataclass(eq=False)
-class Rivals:
+class ArithmeticAlternatives:
     """More exact steps, each time beside the effect that a search would accept next.
 
     Attributes
@@ -121,7 +121,7 @@ class Rivals:
     won : float
         What the steps that the model has by now gained over its own [nats]; 0 if they are those.
     settings : ArithmeticSettings
-        Which rivals there are.
+        Which alternatives there are.
     winner : Arithmetic or None
         What explained the data better than an effect ...
     gain : float
@@ -151,8 +151,8 @@ class Rivals:
         Returns
         -------
         bool
-            Whether windows held out confirm a rival, which is then `winner`, and all windows are
-            as likely under it as with the effect, or likelier.
+            Whether windows held out confirm an alternative, which is then `winner`, and all windows
+            are as likely under it as with the effect, or likelier.
         """
         simulator = self.library.simulator
         if not isinstance(simulator, RobotSimulator) or simulator.control_step is None:
@@ -164,32 +164,32 @@ class Rivals:
         if promise < 0 and state.accepted and found is not None:
             return False
         gained = float((state.test.log_likelihood - self.first.test.log_likelihood).sum())
-        needed = self.selection.needed_gain(len(rivals_of(simulator, self.settings)))
+        needed = self.selection.needed_gain(len(alternatives_of(simulator, self.settings)))
         needed = max(needed, self.selection.minimum_fraction * gained)
         before = penalized_log_likelihood(state)
         of_effect = 0.0 if found is None else penalized_log_likelihood(found) - before
         least = max(of_effect, self.settings.further * self.won)
 
-        def is_better(rival: State, least: float) -> bool:
-            """Whether windows held out confirm a rival, and it gains enough on all."""
-            confirmed = is_confirmed(state.test, rival.test, needed, self.selection)
-            return confirmed and penalized_log_likelihood(rival) - before >= least
+        def is_better(alternative: State, least: float) -> bool:
+            """Whether windows held out confirm an alternative, and it gains enough on all."""
+            confirmed = is_confirmed(state.test, alternative.test, needed, self.selection)
+            return confirmed and penalized_log_likelihood(alternative) - before >= least
 
         # As of an effect: tried, and fitted to the end where that has a chance.
         tried = self._tried(simulator, arithmetic, state)
         has_chance = is_better(tried, self.selection.polished_fraction * least)
         if not has_chance and not has_less_noise(state.train, tried.train, self.selection):
             return False
-        rival = self._fitted(simulator, arithmetic, state)
-        if not is_better(rival, least):
+        alternative = self._fitted(simulator, arithmetic, state)
+        if not is_better(alternative, least):
             return False
-        self.gain = penalized_log_likelihood(rival) - before
-        self.winner = self._refined(simulator, arithmetic, rival, needed)
+        self.gain = penalized_log_likelihood(alternative) - before
+        self.winner = self._refined(simulator, arithmetic, alternative, needed)
         return True
 
     def _most_promising(self, simulator: RobotSimulator, state: State) -> tuple[Arithmetic, float]:
-        """The cheapest rival that gains nearly as much as any on some of the windows to fit, and
-        its gain.
+        """The cheapest alternative that gains nearly as much as any on some of the windows to fit,
+        and its gain.
 
         Nothing is fitted but the noise. The gain is -inf where none is known.
         """
@@ -200,19 +200,19 @@ class Rivals:
         own = settle(self.library, some, NO_INDICES, self.floor, rounds=1)
         before = float(own.log_likelihood.sum())
         gains = []
-        for arithmetic in rivals_of(simulator, self.settings):
+        for arithmetic in alternatives_of(simulator, self.settings):
             library = self._library(arithmetic.of(simulator))
             train = shift_linearization(library, some, state.theta, some.whiten.noise)
             train = settle(library, train, NO_INDICES, self.floor, rounds=1)
             gains.append((arithmetic, float(train.log_likelihood.sum()) - before))
             simulator.steps += library.simulator.steps
         # Where a model loses the motion there may be no likelihood at all.
-        told = [(one, gain) for one, gain in gains if np.isfinite(gain)]
-        if not told:
+        finite = [(one, gain) for one, gain in gains if np.isfinite(gain)]
+        if not finite:
             return gains[0][0], -np.inf
-        most = max(gain for _, gain in told)
-        enough = most - (1 - self.settings.nearly) * abs(most)
-        return next((one, gain) for one, gain in told if gain >= enough)
+        largest = max(gain for _, gain in finite)
+        enough = largest - (1 - self.settings.nearly) * abs(largest)
+        return next((one, gain) for one, gain in finite if gain >= enough)
 
     def _tried(self, simulator: RobotSimulator, arithmetic: Arithmetic, state: State) -> State:
         """A model in other steps, the linearization in the start's noise as it is."""
@@ -258,15 +258,15 @@ class Rivals:
         return State(train, test, state.free, state.accepted)
 
     def _refined(
-        self, simulator: RobotSimulator, arithmetic: Arithmetic, rival: State, needed: float
+        self, simulator: RobotSimulator, arithmetic: Arithmetic, alternative: State, needed: float
     ) -> Arithmetic:
         """A winner's steps, halved as long as windows held out confirm that."""
         while arithmetic.finer < self.settings.finest:
             finer = replace(arithmetic, finer=2 * arithmetic.finer)
-            halved = self._tried(simulator, finer, rival)
-            if not is_confirmed(rival.test, halved.test, needed, self.selection):
+            halved = self._tried(simulator, finer, alternative)
+            if not is_confirmed(alternative.test, halved.test, needed, self.selection):
                 break
-            arithmetic, rival = finer, halved
+            arithmetic, alternative = finer, halved
         return arithmetic
 
     def _library(self, simulator: RobotSimulator) -> Library:

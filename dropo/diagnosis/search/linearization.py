@@ -80,11 +80,11 @@ class Library:
         """(m,) half widths of differences."""
         space = self.simulator.space
         width = self.differences.of_interval * (space.high - space.low)
-        of_effects = [
-            self.differences.of_probe * min(abs(probe) for probe in quantity.probes)
-            for instance in self.instances
-            for quantity in instance.quantities
-        ]
+        of_effects = []
+        for instance in self.instances:
+            for quantity in instance.quantities:
+                smallest = min(abs(probe) for probe in quantity.probes)
+                of_effects.append(self.differences.of_probe * smallest)
         return np.concatenate([width[: self.declared], of_effects])
 
     def predict(self, values: Array, windows: Windows, offsets: Array | None = None) -> Array:

@@ -217,7 +217,7 @@ def other_noise(
     for noise in asked:
         found = with_noise(library, _under(library, good, noise), floor)
         gain = float(found.log_likelihood.sum() - best.log_likelihood.sum())
-        if gain > settings.least_gain:
+        if gain > settings.minimum_gain:
             best = found
     return None if best is good else best.whiten.noise
 

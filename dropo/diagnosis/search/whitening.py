@@ -39,21 +39,40 @@ class WhitenessSettings:
         Multiple of its lower bound below which the noise is none: what is left is no sensor's.
     timing : float
         First guess of how control steps differ in length, as a fraction of one.
-    least_gain : float
+    minimum_gain : float
         Nats that each kind of noise must gain over a simpler one.
     """
 
     z: float = 3.0
     clear: float = 10.0
     timing: float = 0.05
-    least_gain: float = 10.0
+    minimum_gain: float = 10.0
 
 
 SETTINGS = WhitenessSettings()
-LARGEST = 0.97  # of an autoregressive coefficient
+
+
+@dataclass(frozen=True)
+class NoiseSearchSettings:
+    """How far a search for the noise may go.
+
+    Attributes
+    ----------
+    largest_autoregression : float
+        Largest autoregressive coefficient from one control step to the next.
+    near : float
+        Logarithm of the ratio to the first guess within which the gradient is followed.
+    to_nothing : float
+        Logarithm of the ratio by which a force may fall, which is to nothing.
+    """
+
+    largest_autoregression: float = 0.97
+    near: float = 4.6
+    to_nothing: float = 20.0
+
+
+SEARCH = NoiseSearchSettings()
 SMALLEST = 1e-300  # stands for a standard deviation of 0, which has no logarithm
-NOTHING = 20.0  # logarithm of the ratio by which a force may fall, which is to nothing
-NEAR = 4.6  # logarithm of the ratio to the first guess within which the gradient is followed
 
 
 @dataclass(frozen=True, eq=False)
@@ -379,7 +398,8 @@ def coloured_noise(
     follow &= whitener.sigma > settings.clear * floor
     if not follow.any():
         return None
-    rho = np.clip(2 * products.sum(axis=0) / squares.sum(axis=0), -LARGEST, LARGEST)
+    largest = SEARCH.largest_autoregression
+    rho = np.clip(2 * products.sum(axis=0) / squares.sum(axis=0), -largest, largest)
     return WindowNoise(whitener.sigma, np.where(follow, rho, 0.0))
 
 
@@ -527,12 +547,15 @@ class _Learning:
             value = given.log_likelihood.sum()
             return -float(value), -np.concatenate(gradient)
 
-        least = np.log(np.maximum(forces, SMALLEST))
-        first = np.concatenate([np.log(noise.sigma), noise.rho[follow], least])
+        log_forces = np.log(np.maximum(forces, SMALLEST))
+        first = np.concatenate([np.log(noise.sigma), noise.rho[follow], log_forces])
+        largest = SEARCH.largest_autoregression
+        near = SEARCH.near
+        lowest = np.maximum(first[:p] - near, np.log(self.floor))
         bounds = [
-            *zip(np.maximum(first[:p] - NEAR, np.log(self.floor)), first[:p] + NEAR, strict=True),
-            *(follow.sum() * [(-LARGEST, LARGEST)]),
-            *((guess - NOTHING, guess + NEAR) for guess in least),
+            *zip(lowest, first[:p] + near, strict=True),
+            *(follow.sum() * [(-largest, largest)]),
+            *((guess - SEARCH.to_nothing, guess + near) for guess in log_forces),
         ]
         found = minimize(
             loss,

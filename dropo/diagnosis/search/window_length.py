@@ -32,7 +32,7 @@ class WindowLengthSettings:
         Windows of each side that must be left.
     tried : int
         Windows that are simulated.
-    least_noise : float
+    minimum_noise : float
         Lower bound of the noise, as a fraction of each signal's spread.
     """
 
@@ -42,7 +42,7 @@ class WindowLengthSettings:
     curved: float = 0.2
     fewest: int = 16
     tried: int = 24
-    least_noise: float = 1e-5
+    minimum_noise: float = 1e-5
 
 
 SETTINGS = WindowLengthSettings()
@@ -148,7 +148,7 @@ def noise_floor(
         Standard deviations, in the signals' units.
     """
     unknown = [signal.name in estimated for signal in simulator.signals]
-    fraction = np.where(unknown, 1.0, settings.least_noise)
+    fraction = np.where(unknown, 1.0, settings.minimum_noise)
     return np.maximum(fraction * spread_of(simulator, train), 1e-12)
 
 

@@ -102,7 +102,7 @@ def read_formula(
     Raises
     ------
     BadArgument
-        If it is no formula, or units do not go together, or two constants are not told apart.
+        If it is no formula, or units do not go together, or two constants cannot be distinguished.
     UnknownName
         If a name is neither a variable nor a constant, or a function does not exist; with the
         nearest one.

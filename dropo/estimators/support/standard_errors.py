@@ -50,7 +50,7 @@ class OfPrior:
 
     Attributes
     ----------
-    share : (d,) array
+    fraction : (d,) array
         How much of the information on each mean (the inverse of its variance, all else unknown) is
         there by the priors alone: 0 to 1, NaN for a mean on its bound.
     pull : (d,) array
@@ -58,7 +58,7 @@ class OfPrior:
         where there is no prior with a curvature.
     """
 
-    share: Array
+    fraction: Array
     pull: Array
 
 
@@ -269,13 +269,13 @@ def _of_prior(
     known = used & (np.diagonal(information) > 0)
     of_data = np.full(len(both), np.inf)
     of_data[known] = np.diagonal(inverse_information(information[np.ix_(known, known)]))
-    share = np.clip(1 - covariance / of_data, 0.0, 1.0)[places]
+    fraction = np.clip(1 - covariance / of_data, 0.0, 1.0)[places]
 
     expected = (curvature - curvature**2 * covariance)[places]
     score = prior.score(mean)
     with np.errstate(invalid="ignore", divide="ignore"):
         pull = np.where(expected > 0, np.abs(score) / np.sqrt(expected), np.nan)
-    return OfPrior(share, pull)
+    return OfPrior(fraction, pull)
 
 
 def _at_least(covariance: Array, least: Array) -> Array:

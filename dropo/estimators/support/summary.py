@@ -254,7 +254,7 @@ def _prior_use(problem: Problem, found: OfPrior) -> PriorUse:
     pull = dict(zip(names, found.pull.tolist(), strict=True))
     return PriorUse(
         laws={name: describe(prior) for name, prior in problem.priors.items()},
-        share=dict(zip(names, found.share.tolist(), strict=True)),
+        share=dict(zip(names, found.fraction.tolist(), strict=True)),
         apart={name: pull[name] for name in problem.priors},
     )
 

@@ -107,7 +107,7 @@ class TrustRegionSettings:
     minimum_start_scale : float
         Later searches begin with scales of at least this fraction of the width.
     slow_iteration : float
-        The first iteration that takes longer is told, with what another likelihood would take [s].
+        The first iteration that takes longer is shown, with what another likelihood would take [s].
     """
 
     max_iterations: int = 25
@@ -219,12 +219,12 @@ class OuterIterations:
     def __post_init__(self) -> None:
         self.prior = MeanPrior(self.problem.priors, self.problem.space)
         self.box = self.problem.space.high - self.problem.space.low
-        least = max(self.settings.minimum_width, self.problem.simulator.least_step)
+        least = max(self.settings.minimum_width, self.problem.simulator.minimum_step)
         self.minimum_width = least * self.box
         # One seed for all designs: with a new one each time, iterations would never settle.
         self.design_seed = int(self.rng.spawn(1)[0].integers(2**63))
         self._last_built: tuple[TrustRegion, LocalLogLikelihood] | None = None
-        self._told = False
+        self._cost_is_shown = False
 
     def fit(
         self, start: Array, width: Array | None = None
@@ -350,7 +350,7 @@ class OuterIterations:
             value = local_with_prior(local, self.prior)(phi)
             record = np.concatenate([used_region.width, errors, [value, converged], phi])
             steps = self.problem.simulator.steps - steps_before
-            self._tell_cost(region, time.perf_counter() - begun, steps)
+            self._show_cost(region, time.perf_counter() - begun, steps)
             return record[None]
 
         # The evaluation log knows an iteration by its region.
@@ -365,19 +365,19 @@ class OuterIterations:
         used_region = replace(region, width=width)
         return IterationResult(used_region, phi, float(value), errors, bool(converged))
 
-    def _tell_cost(self, region: TrustRegion, seconds: float, steps: int) -> None:
-        """Tell once that iterations are slow, and what linear ones would take: 2 d + 1 simulations
+    def _show_cost(self, region: TrustRegion, seconds: float, steps: int) -> None:
+        """Show once that iterations are slow, and what linear ones would take: 2 d + 1 simulations
         of the same segments.
         """
-        if self._told or seconds <= self.settings.slow_iteration:
+        if self._cost_is_shown or seconds <= self.settings.slow_iteration:
             return
-        self._told = True
+        self._cost_is_shown = True
         text = SLOW.format(duration_text(seconds))
         segments = self._segments(region)
         each = int(segments.lengths.sum()) * self.problem.simulator.steps_per_action
-        share = (2 * len(self.box) + 1) * each / max(steps, 1)
-        if share < 1 and not isinstance(self.likelihood, find("likelihoods", "linear")):
-            text = f"{text}; {LINEAR.format(duration_text(seconds * share))}"
+        fraction = (2 * len(self.box) + 1) * each / max(steps, 1)
+        if fraction < 1 and not isinstance(self.likelihood, find("likelihoods", "linear")):
+            text = f"{text}; {LINEAR.format(duration_text(seconds * fraction))}"
         self.run.progress(0.0, text)
 
     # --- regions

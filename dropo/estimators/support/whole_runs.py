@@ -183,7 +183,7 @@ def starts_are_noisy(
     residual = targets - predicted
     size = residual.std(axis=0)
     evident = size > settings.rounding * np.maximum(targets.std(axis=0), 1e-300)
-    evident &= _own_share(residual) > settings.own
+    evident &= _own_fraction(residual) > settings.own
     if not evident.any():
         return False
     residual = residual[:, evident]
@@ -222,18 +222,18 @@ def _groups_change(data: Trajectories) -> bool:
     return bool((np.diff(data.group) != 0)[~data.terminals[:-1]].any())
 
 
-def _own_share(residual: Array) -> Array:
+def _own_fraction(residual: Array) -> Array:
     """(p,) the share of each signal's variance that the others do not explain linearly."""
     p = residual.shape[1]
     size = np.maximum(residual.std(axis=0), 1e-300)
     scaled = (residual - residual.mean(axis=0)) / size
-    share = np.ones(p)
+    fraction = np.ones(p)
     for j in range(p):
         others = np.delete(scaled, j, axis=1)
         if others.shape[1]:
             fitted = others @ np.linalg.lstsq(others, scaled[:, j], rcond=1e-10)[0]
-            share[j] = np.mean((scaled[:, j] - fitted) ** 2)
-    return share
+            fraction[j] = np.mean((scaled[:, j] - fitted) ** 2)
+    return fraction
 
 
 def _variance_ratios(

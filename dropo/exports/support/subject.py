@@ -285,11 +285,11 @@ class Subject:
             entries = bindings[column].entries(self.simulator.model)
             return list(dict.fromkeys(name for name, _, _ in entries))
         name = self.simulator.space.names[column]
-        own = [
-            pair
-            for pair in self.effects
-            if name in [one.name for one in pair[0].parameters] and is_in_model(pair[0])
-        ]
+        own = []
+        for pair in self.effects:
+            names = [one.name for one in pair[0].parameters]
+            if name in names and is_in_model(pair[0]):
+                own.append(pair)
         return list(changed_numbers(self.model, changed_by(own, self.model)))
 
     def _numbers_at(self, column: int, value: float) -> dict[str, Array]:

@@ -29,7 +29,7 @@ class StepSettings:
     deviations : float
         Step of a start state in standard deviations of its noise: there, two points have the fourth
         moment of a normal source.
-    least_start : float
+    minimum_start : float
         Shortest step of a start state, as a fraction of the signal's standard deviation over the
         data: a shorter one misses contacts that the noise can make or break.
     largest_start : float
@@ -43,7 +43,7 @@ class StepSettings:
 
     least: float = 1e-6
     deviations: float = 3**0.5
-    least_start: float = 1e-5
+    minimum_start: float = 1e-5
     largest_start: float = 0.1
 
 
@@ -161,7 +161,7 @@ def along_starts(
         )
     spread = np.std(simulator.targets(segments), axis=0)
     step = settings.deviations * np.sqrt(noise.shape)
-    bounded = np.clip(step, settings.least_start * spread, settings.largest_start * spread)
+    bounded = np.clip(step, settings.minimum_start * spread, settings.largest_start * spread)
     step = np.where(spread > 0, bounded, step)
     steps = np.stack([step, -step])
     moves = axial_design(*steps)

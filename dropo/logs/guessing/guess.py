@@ -626,8 +626,8 @@ class _Guesser:
             units[scale.unit] = scale.why
         self.guess.mapping["ctrl"] = entries
         whose = ", ".join(f"{name} = {column.column!r}" for name, column in chosen.items())
-        told = "; ".join(f"in {unit}, since {reason}" for unit, reason in units.items())
-        self.guess.lines.append(f"commands ({kind}): {whose}, {why}; {told}")
+        reasons = "; ".join(f"in {unit}, since {reason}" for unit, reason in units.items())
+        self.guess.lines.append(f"commands ({kind}): {whose}, {why}; {reasons}")
 
     def _command_scale(self, column: ColumnName, kind: str, joint: str) -> Scale:
         """The unit of one command."""

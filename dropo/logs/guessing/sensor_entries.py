@@ -103,5 +103,5 @@ class _Taking:
             entry["topic"] = columns[0].topic
         self.guess.mapping.setdefault("sensordata", {})[name] = entry
         shown = f"in {stated}, since it was given" if stated else f"in {unit}, since {why}"
-        told = shown if unit else f"in w, x, y, z, {why}"
-        self.guess.lines.append(f"sensor: {name} = {quote(list(columns))}; {told}")
+        reading = shown if unit else f"in w, x, y, z, {why}"
+        self.guess.lines.append(f"sensor: {name} = {quote(list(columns))}; {reading}")

@@ -176,8 +176,8 @@ def match_sensors(
         }
         while scores:
             (i, name), best = max(scores.items(), key=lambda item: item[1])
-            rivals = [score for (j, other), score in scores.items() if (j == i) != (other == name)]
-            if best <= max(rivals, default=0.0):
+            others = [score for (j, other), score in scores.items() if (j == i) != (other == name)]
+            if best <= max(others, default=0.0):
                 break
             found[name] = own[i]
             scores = {key: one for key, one in scores.items() if key[0] != i and key[1] != name}

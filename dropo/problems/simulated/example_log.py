@@ -122,7 +122,9 @@ def _format_log(commands: Array, machine: ExampleMachine) -> str:
     table = np.column_stack(
         [1000 * np.arange(len(commands)) / machine.rate, angles, np.degrees(commands)]
     )
-    lines = [",".join([f"{row[0]:.0f}", *(f"{x:.3f}" for x in row[1:])]) for row in table]
+    lines = []
+    for milliseconds, *numbers in table:
+        lines.append(",".join([f"{milliseconds:.0f}", *(f"{x:.3f}" for x in numbers)]))
     return "\n".join([HEADER, *lines]) + "\n"
 
 

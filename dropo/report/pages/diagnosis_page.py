@@ -155,7 +155,7 @@ def _searched(found: FigureData) -> Section:
         title = f"Round {i + 1}: {named}"
         caption = ""
         if any(not bar.told for bar in bars):
-            caption = "A bracket joins what these data cannot tell apart. "
+            caption = "A bracket joins what these data cannot distinguish. "
         caption += (
             f"An effect is confirmed beyond {found.needed:.1f} nats (dashed) and well beyond "
             "its error (dark line)."
@@ -180,7 +180,7 @@ def _searched(found: FigureData) -> Section:
         caption = f"{most_alike} At 1 no data of this kind tell them apart."
         shown.append(figure(svg, "How alike the effects are in these data", caption))
     lead = (
-        "The effects that looked most likely, each fitted with everything else, judged on data "
+        "The effects that looked most likely, each fitted with everything else, evaluated on data "
         "that nothing was fitted to."
     )
     return Section("What was tried", lead, grid(*shown) + ended)
@@ -260,16 +260,12 @@ def _detectable(content: dict[str, Any]) -> Section | None:
     found = [Detectable.from_json(saved) for saved in content.get("detectable", [])]
     if not found:
         return None
-    rows = [
-        [
-            Cell(words(effect_in_words(one.effect, None, one.variant))),
-            Cell(one.target or "all"),
-            Cell(one.quantity),
-            Cell("at no size") if one.size is None else Cell(plain(one.size, 2), one.size),
-            Cell(one.unit.removesuffix("1")),
-        ]
-        for one in found
-    ]
+    rows = []
+    for one in found:
+        size = Cell("at no size") if one.size is None else Cell(plain(one.size, 2), one.size)
+        effect = Cell(words(effect_in_words(one.effect, None, one.variant)))
+        place = Cell(one.target or "all")
+        rows.append([effect, place, Cell(one.quantity), size, Cell(one.unit.removesuffix("1"))])
     lead = (
         "The smallest size of each usual effect at which these data are expected to confirm it: "
         "what is smaller may be there."
@@ -296,16 +292,13 @@ def fault_remark(fault: dict[str, Any]) -> str:
 def _fitted(content: dict[str, Any], record: dict[str, Any]) -> Section | None:
     """The declared parameters as fitted, beside their search intervals."""
     declared = {entry["name"]: entry for entry in record.get("parameters", ())}
-    rows = [
-        [
-            Cell(name),
-            Cell(declared[name]["unit"]),
-            Cell(plain(value), value),
-            *(Cell(plain(declared[name][end]), declared[name][end]) for end in ("low", "high")),
-        ]
-        for name, value in content.get("parameters", {}).items()
-        if name in declared
-    ]
+    rows = []
+    for name, value in content.get("parameters", {}).items():
+        if name not in declared:
+            continue
+        entry = declared[name]
+        bounds = [Cell(plain(entry[end]), entry[end]) for end in ("low", "high")]
+        rows.append([Cell(name), Cell(entry["unit"]), Cell(plain(value), value), *bounds])
     if not rows:
         return None
     lead = (

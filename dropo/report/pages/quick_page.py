@@ -41,15 +41,11 @@ def quick_page(result: Result) -> str:
 
 def _forces(content: dict[str, Any]) -> Section:
     """What is not explained at each joint, what is wrong in the log, and what is unusual."""
-    rows = [
-        [
-            Cell(joint["joint"]),
-            Cell(joint["unit"]),
-            *(Cell(plain(joint[key], 3), joint[key]) for key in ("drive", "before", "after")),
-            Cell(percent(joint["used"]), joint["used"]),
-        ]
-        for joint in content["forces"]
-    ]
+    rows = []
+    for joint in content["forces"]:
+        forces = [Cell(plain(joint[key], 3), joint[key]) for key in ("drive", "before", "after")]
+        used = Cell(percent(joint["used"]), joint["used"])
+        rows.append([Cell(joint["joint"]), Cell(joint["unit"]), *forces, used])
     header = ["joint", "unit", "drive", "unexplained as it is", "with what was found", "used"]
     remarks = [*map(fault_remark, content["faults"]), *content["warnings"]]
     lead = (

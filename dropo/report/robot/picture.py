@@ -187,12 +187,12 @@ def where_section(result: Result, changes: str) -> Section | None:
         sign = str(next(numbers)) if places else "–"
         marks += [(sign, place) for place in places]
         whole = "" if places else " It acts on the whole robot, in no one place."
-        told = f"{named[:1].upper()}{named[1:]}" + f": {sizes}" * bool(sizes)
-        items.append(f"<li><b>{sign}</b> <span>{escape(told)}.{whole}</span></li>")
+        phrase = f"{named[:1].upper()}{named[1:]}" + f": {sizes}" * bool(sizes)
+        items.append(f"<li><b>{sign}</b> <span>{escape(phrase)}.{whole}</span></li>")
     image = b"" if result.media is None else result.media.still
     text = ". ".join(
-        f"{sign}: {effect_in_words(cause.effect, cause.target, cause.variant)}"
-        for sign, cause in zip((str(k) for k in count(1)), causes, strict=False)
+        f"{k}: {effect_in_words(cause.effect, cause.target, cause.variant)}"
+        for k, cause in enumerate(causes, 1)
     )
     svg = _svg(scene, shapes(model, data), marks, image, f"The robot, with causes marked. {text}.")
     listed = f'<ol class="marks">{"".join(items)}</ol>'

@@ -56,7 +56,7 @@ class WarpSimulator(Simulator):
     """
 
     takes_over = True
-    least_step = float(np.finfo(np.float32).eps ** (1 / 3))
+    minimum_step = float(np.finfo(np.float32).eps ** (1 / 3))
 
     def __init__(self, cpu: Simulator, *, device: str | None = None, worlds: int = 8192):
         if not isinstance(cpu, MujocoSimulator):

@@ -92,9 +92,9 @@ class BenchmarkSettings:
         Bounds of the sensors' standard deviation, log-uniform.
     finer : int
         Physics steps of the recording in one of the model.
-    least_rows : int
+    minimum_rows : int
         Transitions that a recording must have: a machine that falls at once shows nothing.
-    least_nats : float
+    minimum_nats : float
         What an effect must at least be worth, to be one at all: friction of a geom that touches
         nothing is none.
     attempts : int
@@ -105,8 +105,8 @@ class BenchmarkSettings:
     sizes: tuple[float, float] = (0.01, 2.0)
     noise: tuple[float, float] = (1e-4, 10**-2.5)
     finer: int = 4
-    least_rows: int = 400
-    least_nats: float = 1.0
+    minimum_rows: int = 400
+    minimum_nats: float = 1.0
     attempts: int = 100
 
 
@@ -189,12 +189,12 @@ def make_set(machine: str, number: int, settings: BenchmarkSettings = SETTINGS) 
                 continue
             effects = [one]
         data = truly.record(effects, noise=sigma, rng=rng.spawn(1)[0], values=values)
-        if len(data) < settings.least_rows:
+        if len(data) < settings.minimum_rows:
             continue
         nats = gain_of(truly, effects[0], effects, values, data, sigma) if effects else 0.0
         if nothing:
             break
-        if nats >= settings.least_nats and _is_whole(truly, effects, values, data, sigma, nats):
+        if nats >= settings.minimum_nats and _is_whole(truly, effects, values, data, sigma, nats):
             break
     name = f"{machine}-{number:03d}"
     of_steps = nats_between(truly.simulator, model, values, data, sigma)

@@ -60,6 +60,11 @@ class KeptEvaluations(EvaluationLog):
             The values, float64.
         counts : dict of str to int
             What the batch cost, by kind.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            If the evaluation is interrupted; what earlier ones gave is kept.
         """
 
         def make() -> dict[str, Any]:

@@ -251,7 +251,7 @@ def _compared(
 ) -> dict[str, Any]:
     """What is right in a diagnosis.
 
-    told: sentences that name what is told only together; a number in one of them is not missed.
+    told: sentences that name what is identifiable only together; a number in one is not missed.
     """
     estimates = {
         (cause.effect, cause.target, quantity): estimate

@@ -38,16 +38,16 @@ class Settings:
         Control steps of a trajectory.
     action_noise : float
         Standard deviation of the noise on the actions, in the search and in collecting data.
-    least_return : float
+    minimum_return : float
         Return, with the bonus of 1 a step, from which a policy is semi-converged.
-    least_lasting : float
+    minimum_lasting : float
         Fraction of the trajectories that must not fall.
     """
 
     steps: int = 500
     action_noise: float = 0.1
-    least_return: float = 1200.0
-    least_lasting: float = 0.97
+    minimum_return: float = 1200.0
+    minimum_lasting: float = 0.97
 
 
 SETTINGS = Settings()
@@ -192,7 +192,7 @@ def found(model: mujoco.MjModel, seed: int, updates: int) -> tuple[HopperPolicy,
         lasting = float((runs.lengths == SETTINGS.steps).mean())
         text = f"{lasting:.0%} of {ALGORITHM.trials} trajectories do not fall"
         print(f"update {update}: return {value:.0f}, {text}", file=sys.stderr, flush=True)
-        converged = value >= SETTINGS.least_return and lasting >= SETTINGS.least_lasting
+        converged = value >= SETTINGS.minimum_return and lasting >= SETTINGS.minimum_lasting
         if update >= updates or converged:
             figures = {"seed": seed, "updates": update, "return": round(value), "lasting": lasting}
             return kept, figures

@@ -39,7 +39,7 @@ def test_more_exact_steps_are_taken_where_the_machine_has_them(finer):
     assert found.own_steps == (finer == 1)
     assert physics_step(found.model.library.simulator.model) == (0.004 if finer == 1 else 0.001)
     assert abs(found.model.theta[0] - FRICTION) < WITHIN * found.errors[0]
-    none = ArithmeticSettings(rivals=(), of_runge_kutta=())
+    none = ArithmeticSettings(alternatives=(), of_runge_kutta=())
     kept = FarOffSearch(replace(settings, steps=none), silent).run(model)
     assert kept.own_steps
     assert finer == 1 or kept.errors[1] > 2 * found.errors[1]

@@ -15,7 +15,7 @@ from dropo.diagnosis.findings.causes import leaders
 from dropo.diagnosis.findings.stability import stability
 from dropo.diagnosis.parts import Leader, Stability
 from dropo.diagnosis.search import arithmetic
-from dropo.diagnosis.search.arithmetic import Rivals
+from dropo.diagnosis.search.arithmetic import ArithmeticAlternatives
 from dropo.diagnosis.search.confirmation import SETTINGS
 from dropo.diagnosis.search.windows import split
 from tests.models.hidden_in_arm import problem
@@ -126,8 +126,10 @@ def test_steps_under_which_there_is_no_likelihood_win_nothing(searched, monkeypa
     setup = searched[0]
     selection = setup.selection
     last = setup.first()
-    rivals = Rivals(setup.library, selection.floor, selection.settings, EvaluationLog(), last)
-    assert np.isfinite(rivals._most_promising(setup.library.simulator, last)[1])
+    others = ArithmeticAlternatives(
+        setup.library, selection.floor, selection.settings, EvaluationLog(), last
+    )
+    assert np.isfinite(others._most_promising(setup.library.simulator, last)[1])
     none = SimpleNamespace(log_likelihood=np.array([np.nan]))
     monkeypatch.setattr(arithmetic, "settle", lambda *args, **more: none)
-    assert not rivals(last, None)
+    assert not others(last, None)

@@ -53,7 +53,7 @@ class ParallelSimulator(Simulator):
         self.nominal = simulator.nominal
         self.steps_per_action = simulator.steps_per_action
         self.control_step = simulator.control_step
-        self.least_step = simulator.least_step
+        self.minimum_step = simulator.minimum_step
         self._pickled_simulator = pickle.dumps(simulator)
         self._last_segments: tuple[Segments, bytes] | None = None
 

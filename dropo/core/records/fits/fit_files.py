@@ -166,9 +166,10 @@ def _rows_of(fit: Fit) -> dict[str, dict[str, Any]]:
     columns["degrees"] = np.full(len(fit.mean), np.inf) if degrees is None else degrees
     intervals = fit.interval()
     of_sd = fit.sd_interval()
-    return {
-        p.name: {
-            **{key: number_or_null(values[i]) for key, values in columns.items()},
+    rows = {}
+    for i, p in enumerate(fit.space):
+        numbers = {key: number_or_null(values[i]) for key, values in columns.items()}
+        rows[p.name] = numbers | {
             "mean_interval": [number_or_null(end) for end in intervals[i]],
             "sd_interval": [number_or_null(end) for end in of_sd[i]],
             "unit": p.unit,
@@ -178,8 +179,7 @@ def _rows_of(fit: Fit) -> dict[str, dict[str, Any]]:
             "upper": number_or_null(p.upper),
             "search_scale": p.scale,
         }
-        for i, p in enumerate(fit.space)
-    }
+    return rows
 
 
 def _further_entries(fit: Fit) -> dict[str, Any]:

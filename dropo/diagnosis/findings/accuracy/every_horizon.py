@@ -156,7 +156,7 @@ def beyond_noise(
                     strict=True,
                 )
             }
-    told = []
+    worst = []
     for after in found:
         of_horizon = []
         for (unit, own, _), (_, noise, size) in zip(
@@ -171,8 +171,8 @@ def beyond_noise(
                 ratio = float(np.sqrt(own.mean() / max(noise.mean(), 1e-300)))
                 of_horizon.append(Beyond(after.steps, unit, ratio, beyond))
         if of_horizon:
-            told.append(max(of_horizon, key=lambda one: one.score))
-    return tuple(told)
+            worst.append(max(of_horizon, key=lambda one: one.score))
+    return tuple(worst)
 
 
 def in_words(found: Sequence[Beyond]) -> str:

@@ -30,8 +30,23 @@ LOST = 2.0
 """Multiple of a signal's spread that an error counts at most: beyond it the motion is lost."""
 OF_MOTION = "of the motion"
 """The line of all signals together, each in units of its spread."""
-TOLD = 0.1
-"""Fraction of the numbers' intervals below which the data tell a direction of them."""
+
+
+@dataclass(frozen=True)
+class DrawnNumberSettings:
+    """Which fitted numbers' errors are counted as errors that noise makes.
+
+    Attributes
+    ----------
+    identifiable : float
+        Largest standard error of a direction of the numbers, as a fraction of their intervals, at
+        which the data identify it.
+    """
+
+    identifiable: float = 0.1
+
+
+DRAWN = DrawnNumberSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,6 +257,7 @@ def with_numbers(
     rng: np.random.Generator,
     draws: int,
     settings: HeldOutSettings = SETTINGS,
+    drawn: DrawnNumberSettings = DRAWN,
 ) -> list[AfterHorizon]:
     """Add to what noise makes of errors what it makes of the numbers that were fitted.
 
@@ -257,6 +273,8 @@ def with_numbers(
         Draws the numbers.
     draws : int
         How many models are drawn.
+    drawn : DrawnNumberSettings
+        Which numbers vary.
 
     Returns
     -------
@@ -266,11 +284,11 @@ def with_numbers(
     (own,) = rng.spawn(1)
     space = library.simulator.space
     thetas = np.repeat(last.theta[None], draws + 1, axis=0)
-    # What the data do not tell of the numbers is no error that noise makes of them.
+    # A direction that is not identifiable is no error that noise makes of the numbers.
     width = (space.high - space.low)[last.free]
     values, vectors = np.linalg.eigh(covariance / np.outer(width, width))
     sizes = np.sqrt(np.maximum(values, 0.0))
-    root = width[:, None] * vectors * np.where(sizes < TOLD, sizes, 0.0)
+    root = width[:, None] * vectors * np.where(sizes < drawn.identifiable, sizes, 0.0)
     thetas[1:, last.free] += own.standard_normal((draws, len(values))) @ root.T
     thetas[1:] = space.clip(thetas[1:])
     part, _ = _part_and_spread(problem, library, last)

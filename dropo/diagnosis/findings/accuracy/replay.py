@@ -12,10 +12,24 @@ from dropo.core.services.tables import Table, number
 from dropo.core.services.validation import Array
 from dropo.diagnosis.findings.accuracy.horizons import LOST
 
-ODD = 5.0
-"""Multiple of a signal's usual error from which a run is named."""
-FEWEST = 5
-"""Runs from which there is a usual error."""
+
+@dataclass(frozen=True)
+class ReplaySettings:
+    """When a replayed run is named.
+
+    Attributes
+    ----------
+    odd : float
+        Multiple of a signal's usual error from which a run is named.
+    fewest_runs : int
+        Number of runs from which there is a usual error.
+    """
+
+    odd: float = 5.0
+    fewest_runs: int = 5
+
+
+SETTINGS = ReplaySettings()
 
 
 @dataclass(frozen=True)
@@ -63,6 +77,8 @@ class WholeRunReplay:
     before, after : (n, p) array
         Root mean square errors of each run with the model as it came, and with what was found. An
         error counts as twice the signal's spread at most; so does a simulation that has diverged.
+    settings : ReplaySettings
+        When a run is named.
     """
 
     seconds: tuple[float, ...]
@@ -70,6 +86,7 @@ class WholeRunReplay:
     units: tuple[str, ...]
     before: Array
     after: Array
+    settings: ReplaySettings = SETTINGS
 
     def overall(self, unit: str) -> tuple[float, float]:
         """Root mean square errors over all runs and all signals of a unit, before and after."""
@@ -81,10 +98,10 @@ class WholeRunReplay:
 
     def odd(self) -> list[OddReplay]:
         """List runs in which a signal is off by far more than in most."""
-        if len(self.after) < FEWEST:
+        if len(self.after) < self.settings.fewest_runs:
             return []
         usual = np.median(self.after, axis=0)
-        places = np.argwhere(self.after > ODD * usual)
+        places = np.argwhere(self.after > self.settings.odd * usual)
         return [
             OddReplay(
                 run=run,
@@ -133,7 +150,12 @@ class WholeRunReplay:
         return {"units": units, "runs": runs, "odd": [asdict(one) for one in self.odd()]}
 
 
-def replay(simulator: Simulator, data: Trajectories, thetas: Sequence[Array]) -> WholeRunReplay:
+def replay(
+    simulator: Simulator,
+    data: Trajectories,
+    thetas: Sequence[Array],
+    settings: ReplaySettings = SETTINGS,
+) -> WholeRunReplay:
     """Replay whole runs with two models.
 
     Parameters
@@ -144,6 +166,8 @@ def replay(simulator: Simulator, data: Trajectories, thetas: Sequence[Array]) ->
         The runs.
     thetas : sequence of two (m,) arrays
         The model as it came, and with what was found.
+    settings : ReplaySettings
+        When a run is named.
 
     Returns
     -------
@@ -151,9 +175,9 @@ def replay(simulator: Simulator, data: Trajectories, thetas: Sequence[Array]) ->
     """
     segments = data.segments(reset="start", every_step=True)
     targets = simulator.targets(segments)
-    most = LOST * np.std(targets, axis=0)
+    maximum = LOST * np.std(targets, axis=0)
     errors = np.abs(targets - simulator.predict(np.stack(thetas), segments))
-    errors = np.minimum(np.where(np.isfinite(errors), errors, np.inf), most)
+    errors = np.minimum(np.where(np.isfinite(errors), errors, np.inf), maximum)
     square = np.stack([np.mean(errors[:, a:b] ** 2, axis=1) for a, b in data.spans])
     before, after = np.moveaxis(np.sqrt(square), 1, 0)
     step = simulator.control_step or 1.0
@@ -163,6 +187,7 @@ def replay(simulator: Simulator, data: Trajectories, thetas: Sequence[Array]) ->
         units=tuple(signal.unit for signal in simulator.signals),
         before=before,
         after=after,
+        settings=settings,
     )
 
 

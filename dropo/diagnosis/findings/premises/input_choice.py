@@ -13,7 +13,7 @@ trust the wrong command."""
 
 
 def choose_problem_input(
-    problems: Mapping[str, Problem], least_seconds: float = 0.1
+    problems: Mapping[str, Problem], minimum_seconds: float = 0.1
 ) -> InputChoice:
     """Choose between one problem's logged commands.
 
@@ -23,7 +23,7 @@ def choose_problem_input(
     ----------
     problems : mapping of str to Problem
         One problem under each of several commands, by the command's name.
-    least_seconds : float
+    minimum_seconds : float
         Horizon of the windows where the problem states a shorter one, or none [s].
 
     Returns
@@ -49,6 +49,6 @@ def choose_problem_input(
     space = simulator.space
     start = space.clip(simulator.nominal)
     step = simulator.control_step
-    seconds = max(least_seconds, first.horizon * step)
+    seconds = max(minimum_seconds, first.horizon * step)
     data = {name: problem.trajectories for name, problem in problems.items()}
     return choose_input(simulator, data, start, step, seconds=seconds)

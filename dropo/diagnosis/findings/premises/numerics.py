@@ -106,7 +106,7 @@ def numerics(
 
 
 def _other_steps(came: mujoco.MjModel, used: mujoco.MjModel) -> list[str]:
-    """That all was judged with other steps than those of the model that came."""
+    """That all was evaluated with other steps than those of the model that came."""
     before, after = (physics_step(model) for model in (came, used))
     other = integrator(used)
     own = integrator(came)

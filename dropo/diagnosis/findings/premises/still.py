@@ -1,4 +1,4 @@
-"""Joints that never move in the data: they are held, and what cannot be told of them is listed."""
+"""Joints that never move in the data: they are held, and effects at them are listed as unknown."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -49,27 +49,34 @@ class Held:
         names |= {one.name for one in drives if one.joint is not None and one.joint.name in names}
         return instance.target in names
 
-    def restored(self, found: Diagnosis, untold: Sequence[EffectInstance]) -> Diagnosis:
+    def restored(self, found: Diagnosis, not_identifiable: Sequence[EffectInstance]) -> Diagnosis:
         """Return a diagnosis with a problem in which the joints are free again.
 
         Parameters
         ----------
         found : Diagnosis
             Of the problem that holds them.
-        untold : sequence of EffectInstance
+        not_identifiable : sequence of EffectInstance
             The effects at the joints, which were not looked for.
 
         Returns
         -------
         Diagnosis
+
+        Raises
+        ------
+        AssertionError
+            If it is of another simulator than MuJoCo's, in which no joint is held.
         """
         simulator = found.problem.simulator
         came = self.came.simulator
         if not (isinstance(simulator, MujocoSimulator) and isinstance(came, MujocoSimulator)):
             raise AssertionError("only a MujocoSimulator holds joints")
         free = simulator.with_joints_of(came).observing(came.observation)
-        told = list(dict.fromkeys(one.label for one in untold))
-        listed = (f"Not told, since their joint never moves: {', '.join(told)}.",) if told else ()
+        labels = list(dict.fromkeys(one.label for one in not_identifiable))
+        listed = (
+            (f"Not told, since their joint never moves: {', '.join(labels)}.",) if labels else ()
+        )
         return replace(
             found,
             problem=replace(self.came, simulator=free),

@@ -24,17 +24,17 @@ class OmnibusSettings:
         Of the ridge regression.
     commands : int
         How many commands a residual may follow: the present one and those before it.
-    least_z : float
+    minimum_z : float
         Standard errors by block above which structure is left ...
-    least_share : float
+    minimum_fraction : float
         ... if it is also more than this fraction of the noise's variance: where predictions are
         right to rounding, the noise is at its lower bound.
     """
 
     regression: ResidualTestSettings = REGRESSION
     commands: int = 3
-    least_z: float = 3.0
-    least_share: float = 1e-3
+    minimum_z: float = 3.0
+    minimum_fraction: float = 1e-3
 
 
 SETTINGS = OmnibusSettings()
@@ -50,7 +50,7 @@ class Omnibus:
         Normal score of the fall of all signals.
     signals : tuple of float
         Normal score of each signal's.
-    share : float
+    fraction : float
         The fall as a fraction of the noise's variance.
     present : bool
         Whether structure is left.
@@ -58,7 +58,7 @@ class Omnibus:
 
     z: float
     signals: tuple[float, ...]
-    share: float
+    fraction: float
     present: bool
 
 
@@ -112,11 +112,11 @@ def omnibus(
     found = predictability(
         design, residuals, [(~unseen, unseen)], np.concatenate(blocks), settings.regression
     )
-    share = found.fall / (len(rows[1]) * residuals.shape[1])
-    present = found.z > settings.least_z and share > settings.least_share
+    fraction = found.fall / (len(rows[1]) * residuals.shape[1])
+    present = found.z > settings.minimum_z and fraction > settings.minimum_fraction
     by_signal = np.zeros(len(tested))
     by_signal[tested] = found.by_signal
-    return Omnibus(found.z, tuple(by_signal.tolist()), share, present)
+    return Omnibus(found.z, tuple(by_signal.tolist()), fraction, present)
 
 
 def _whitened(linearized: LinearizedWindows) -> Array:

@@ -8,7 +8,7 @@ from dropo import Diagnose, Problem
 from dropo.core.contracts.effect import instances_of
 from dropo.core.records.trajectories import Trajectories
 from dropo.diagnosis.findings.premises.numerics import short_delay
-from dropo.diagnosis.search.arithmetic import Rivals
+from dropo.diagnosis.search.arithmetic import ArithmeticAlternatives
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 XML = """
@@ -83,7 +83,7 @@ def test_a_delay_below_a_step_is_no_cause_where_something_remains(monkeypatch):
     """Where exact steps are not tried, half a step of delay is accepted, refused in the end, and
     said, beside what half the steps would explain. So this is the control of the test above, too.
     """
-    monkeypatch.setattr(Rivals, "__call__", lambda *given: False)
+    monkeypatch.setattr(ArithmeticAlternatives, "__call__", lambda *given: False)
     found = SEARCH.run(recorded(4, "mjINT_RK4"), rng=0)
     assert [cause.effect for cause in found.causes] == ["joint_damping"]
     estimate = found.causes[0].estimate["damping"]
