@@ -5,6 +5,9 @@ from collections.abc import Iterator
 
 KEYS = ("name", "class", "joint", "site", "tendon", "body", "type", "geom1", "geom2")
 """Attributes by which an element is known, the first that it has."""
+WHOLE = ("inertial",)
+"""Elements that are typed as a whole: a file may leave them out, and what they hold goes together.
+"""
 
 
 def changed_elements(old: str, new: str) -> Iterator[str]:
@@ -31,6 +34,8 @@ def changed_elements(old: str, new: str) -> Iterator[str]:
             continue
         known = next(((key, had[key]) for key in KEYS if key in had and key not in new_ones), None)
         shown = ({known[0]: known[1]} if known else {}) | new_ones
+        if element.tag in WHOLE:
+            shown = element.attrib
         text = " ".join(f'{key}="{value}"' for key, value in shown.items())
         was = [f'{key}="{had[key]}"' for key in new_ones if key in had]
         was += [f'{key}="{had[key]}", now without' for key in gone]
