@@ -34,3 +34,12 @@ def test_only_what_changes_is_named():
         '<motor joint="hinge"/>',
     ]
     assert list(changed_elements(OLD, OLD)) == []
+
+
+def test_elements_that_are_as_by_default_are_named():
+    """MuJoCo writes no option that is its default: that it is gone is said."""
+    new = OLD.replace('<option timestep="0.01"/>', "")
+    assert list(changed_elements(OLD, new)) == [
+        '<!-- option: was timestep="0.01", now without -->',
+        "<option/>",
+    ]

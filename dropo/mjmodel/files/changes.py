@@ -25,7 +25,14 @@ def changed_elements(old: str, new: str) -> Iterator[str]:
         `<joint name="elbow" frictionloss="0.05"/>`.
     """
     before = dict(_elements(ET.fromstring(old)))
-    for path, element in _elements(ET.fromstring(new)):
+    after = dict(_elements(ET.fromstring(new)))
+    for path, element in before.items():
+        # What is as by default is not written.
+        if path not in after and element.attrib:
+            was = ", ".join(f'{key}="{value}"' for key, value in element.attrib.items())
+            yield f"<!-- {' > '.join(_readable(path))}: was {was}, now without -->"
+            yield f"<{element.tag}/>"
+    for path, element in after.items():
         kept = before.get(path)
         had = {} if kept is None else kept.attrib
         new_ones = {key: value for key, value in element.attrib.items() if had.get(key) != value}
