@@ -420,7 +420,8 @@ class Diagnose:
         if worse and not far_off and len(setup.worse) < self.settings.horizons.refused:
             further = _without_worse(setup, searched, *next(iter(worse.items())))
             return self._result(task, *further, progress)
-        errors = _errors_without_and_with(data, library, last, reviews, after if complete else ())
+        whole = of_each if complete else ()
+        errors = _errors_without_and_with(data, library, last, reviews, whole)
         found = causes(
             library,
             last,

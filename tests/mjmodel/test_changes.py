@@ -23,7 +23,7 @@ def test_only_what_changes_is_named():
     )
     assert list(changed_elements(OLD, new)) == [
         '<!-- body arm > inertial: was mass="1" -->',
-        '<inertial mass="1.5"/>',
+        '<inertial mass="1.5" pos="0 0 0"/>',
         '<!-- body arm > joint hinge: was damping="0.1"; new: frictionloss -->',
         '<joint name="hinge" damping="0.2" frictionloss="0.05"/>',
         '<!-- body arm > geom 2: was size="1" -->',
@@ -34,3 +34,12 @@ def test_only_what_changes_is_named():
         '<motor joint="hinge"/>',
     ]
     assert list(changed_elements(OLD, OLD)) == []
+
+
+def test_elements_that_are_as_by_default_are_named():
+    """MuJoCo writes no option that is its default: that it is gone is said."""
+    new = OLD.replace('<option timestep="0.01"/>', "")
+    assert list(changed_elements(OLD, new)) == [
+        '<!-- option: was timestep="0.01", now without -->',
+        "<option/>",
+    ]

@@ -5,6 +5,9 @@ from collections.abc import Iterator
 
 KEYS = ("name", "class", "joint", "site", "tendon", "body", "type", "geom1", "geom2")
 """Attributes by which an element is known, the first that it has."""
+WHOLE = ("inertial",)
+"""Elements that are typed as a whole: a file may leave them out, and what they hold goes together.
+"""
 
 
 def changed_elements(old: str, new: str) -> Iterator[str]:
@@ -22,7 +25,14 @@ def changed_elements(old: str, new: str) -> Iterator[str]:
         `<joint name="elbow" frictionloss="0.05"/>`.
     """
     before = dict(_elements(ET.fromstring(old)))
-    for path, element in _elements(ET.fromstring(new)):
+    after = dict(_elements(ET.fromstring(new)))
+    for path, element in before.items():
+        # What is as by default is not written.
+        if path not in after and element.attrib:
+            was = ", ".join(f'{key}="{value}"' for key, value in element.attrib.items())
+            yield f"<!-- {' > '.join(_readable(path))}: was {was}, now without -->"
+            yield f"<{element.tag}/>"
+    for path, element in after.items():
         kept = before.get(path)
         had = {} if kept is None else kept.attrib
         new_ones = {key: value for key, value in element.attrib.items() if had.get(key) != value}
@@ -31,6 +41,8 @@ def changed_elements(old: str, new: str) -> Iterator[str]:
             continue
         known = next(((key, had[key]) for key in KEYS if key in had and key not in new_ones), None)
         shown = ({known[0]: known[1]} if known else {}) | new_ones
+        if element.tag in WHOLE:
+            shown = element.attrib
         text = " ".join(f'{key}="{value}"' for key, value in shown.items())
         was = [f'{key}="{had[key]}"' for key in new_ones if key in had]
         was += [f'{key}="{had[key]}", now without' for key in gone]

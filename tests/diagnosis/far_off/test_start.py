@@ -13,6 +13,8 @@ from dropo.diagnosis.far_off.start import FarOffLimits, FarOffStart, start_of
 from dropo.diagnosis.regression.quick import QuickSettings, sides
 from dropo.mjmodel.fields import FieldParameter
 from dropo.problems.file.estimated_velocities import with_velocities
+from dropo.problems.file.plain_model import write_extended
+from dropo.problems.file.verification import verify
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 from dropo.studies.first_models.machines import problem_of
 from dropo.studies.first_models.strangers import stranger
@@ -68,6 +70,28 @@ def test_the_model_as_it_came_is_far_off(diagnosis):
     assert after[20] < 0.02
     assert before[20] is None or before[20] > 50 * after[20]
     assert diagnosis.gain > 1
+
+
+def test_what_physics_steps_do_is_no_cause(diagnosis):
+    """All numbers are causes: what a model of steps four times longer leaves is said to be the
+    steps'. The delay is the machine's; in the model's own steps it is 0.75 ms longer, half of what
+    a command waits there.
+    """
+    assert diagnosis.verdict == "explained"
+    assert diagnosis.stated == diagnosis.causes
+    assert any('timestep="0.0005"' in text for text in diagnosis.numerics)
+    (late,) = [cause for cause in diagnosis.causes if cause.effect == "actuator_delay"]
+    assert abs(late.estimate["delay"].value - 0.006) < 3.5e-4
+
+
+def test_the_extended_model_has_the_errors_announced(diagnosis, tmp_path):
+    """In plain MuJoCo, in the steps that were found. Control: not in those it came with."""
+    diagnosis.save(tmp_path)
+    path = write_extended(diagnosis.problem, diagnosis.parameters, tmp_path / "extended")
+    assert verify(tmp_path).holds
+    model = path.with_name("model.xml")
+    model.write_text(model.read_text().replace('timestep="0.0005"', 'timestep="0.002"'))
+    assert not verify(tmp_path).holds
 
 
 def test_declared_parameters_take_what_they_stand_for(recording):

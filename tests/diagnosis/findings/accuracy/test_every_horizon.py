@@ -45,6 +45,19 @@ def after(steps, *sizes, seed=0, blocks=12, noise=0.01, spread=1.0):
     )
 
 
+def test_what_was_estimated_does_not_count():
+    """Of signals of which one alone is off, its errors are beyond noise, unless it is no
+    measurement.
+    """
+    off = np.full(len(SIGNALS), 0.01)
+    off[-1] = 0.05
+    found = [after(20, off)]
+    measured = np.arange(len(SIGNALS)) < len(SIGNALS) - 1
+    assert beyond_noise(found, 0)
+    assert beyond_noise(found, 0, measured=~measured)
+    assert not beyond_noise(found, 0, measured=measured)
+
+
 def test_noise_is_told_from_what_remains():
     """Errors as large as noise makes them are explained at every horizon in 100 draws of the data
     but one at most; twice as large ones are not, and it is said after which horizon.
