@@ -189,6 +189,7 @@ def write_quadruped(
     seed: int = 0,
     walk: Walk = WALK,
     change: Change | None = None,
+    machine: str = MODEL,
 ) -> list[Path]:
     """Write the model and logs of the example.
 
@@ -204,6 +205,8 @@ def write_quadruped(
         How the machine is driven and logged.
     change : callable, optional
         Makes the machine differ from its model.
+    machine : str, optional
+        MJCF of the machine that walks; the model that is written stays as it is.
 
     Returns
     -------
@@ -216,11 +219,16 @@ def write_quadruped(
     write_text(paths[0], MODEL)
     for number, rng in enumerate(np.random.default_rng(seed).spawn(runs), 1):
         paths.append(place / f"log{number}.csv")
-        write_text(paths[-1], walked(rng, walk, change).as_csv())
+        write_text(paths[-1], walked(rng, walk, change, machine).as_csv())
     return paths
 
 
-def walked(rng: np.random.Generator, walk: Walk = WALK, change: Change | None = None) -> WalkLog:
+def walked(
+    rng: np.random.Generator,
+    walk: Walk = WALK,
+    change: Change | None = None,
+    machine: str = MODEL,
+) -> WalkLog:
     """Let the machine walk, and log it.
 
     Parameters
@@ -230,6 +238,8 @@ def walked(rng: np.random.Generator, walk: Walk = WALK, change: Change | None = 
     walk : Walk, optional
     change : callable, optional
         Makes the machine differ from its model.
+    machine : str, optional
+        MJCF of the machine.
 
     Returns
     -------
@@ -241,7 +251,7 @@ def walked(rng: np.random.Generator, walk: Walk = WALK, change: Change | None = 
         If the machine falls.
     """
     command_rng, noise_rng = rng.spawn(2)
-    spec = mujoco.MjSpec.from_string(MODEL)
+    spec = mujoco.MjSpec.from_string(machine)
     spec.option.timestep /= walk.finer
     model = spec.compile()
     if change is not None:
