@@ -137,7 +137,8 @@ class DROPO(Estimator):
         likelihood that brings its own settings.
     Incompatible
         If `draws` or `redraw` is given for a likelihood that draws nothing; by `fit`, if the
-        likelihood cannot be fitted with the optimizer, the starts or the effects that are there.
+        likelihood cannot be fitted with the optimizer, the starts or the effects that are there, or
+        the data lack the pose of a base that may touch something.
     SimulationFailed
         By `fit`, if the simulator diverges where a search of a sampled likelihood begins.
 
@@ -253,7 +254,7 @@ class DROPO(Estimator):
 
     def _fit(self, problem: Problem, run: Run) -> Fit:
         """With the noise that the settings ask for: swept, given, or learned with the rest."""
-        if isinstance(problem.simulator, RobotSimulator):
+        if isinstance(problem.simulator, RobotSimulator) and problem.reset == "transition":
             observed = problem.simulator.layout.observed("qpos")
             refuse_unknown_base(problem.simulator.model, observed)
         # Every fit of a sweep draws alike, so that fits differ by their noise alone.

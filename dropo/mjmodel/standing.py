@@ -84,11 +84,28 @@ def refuse_unknown_base(model: mujoco.MjModel, observed: Collection[int]) -> Non
     Incompatible
         If nothing of the base's pose was observed, and its machine may touch what does not move.
     """
-    base = floating_base(model)
-    if base is None or not set(range(base.qpos, base.qpos + 7)).isdisjoint(observed):
+    name, places = _base_places(model)
+    if not places or not places.isdisjoint(observed):
         return
     if any(_colliding(model, i) for i in _still_geoms(model)):
-        raise Incompatible(UNKNOWN_BASE.format(base.name))
+        raise Incompatible(UNKNOWN_BASE.format(name))
+
+
+def _base_places(model: mujoco.MjModel) -> tuple[str, set[int]]:
+    """The name of a floating base and its places in qpos: a free joint, or undriven ones of a body
+    that hangs from the world by several and carries driven ones; none where nothing floats.
+    """
+    base = floating_base(model)
+    if base is not None:
+        return base.name, set(range(base.qpos, base.qpos + 7))
+    every = all_joints(model)
+    driven = {int(i) for i in driven_joints(model) if i >= 0}
+    for root in sorted({int(model.body_rootid[every[i].body]) for i in driven}):
+        own = [joint for joint in every if joint.body == root]
+        plain = all(joint.kind in ("slide", "hinge") for joint in own)
+        if len(own) > 1 and plain and driven.isdisjoint(joint.id for joint in own):
+            return str(model.body(root).name), {joint.qpos for joint in own}
+    return "", set()
 
 
 def level_ground(model: mujoco.MjModel) -> int | None:

@@ -103,6 +103,10 @@ def test_init_estimates_the_base(tmp_path: Path) -> None:
     assert "sensordata.gyro[0]" in names - set(problem.estimated)
     assert any("The pose of base is not logged" in note for note in start.imported.notes)
     assert not start.imported.findings
+    file = tmp_path / "out" / "problem.yaml"
+    entries = [line[2:] for line in file.read_text().splitlines() if "contact_friction:" in line]
+    file.write_text(file.read_text() + "\n".join(["parameters:", *entries]) + "\n")
+    assert load(file, threads=1).space.names == ("contact_friction",)
 
 
 def test_an_imu_askew_is_found(tmp_path: Path) -> None:

@@ -72,9 +72,19 @@ def test_feet_in_the_bases_axes() -> None:
     assert feet.heights[0, 0] == 0.0
 
 
+PLANAR = MACHINE.replace(
+    '<freejoint name="base"/>',
+    '<joint name="x" type="slide" axis="1 0 0"/><joint name="z" type="slide" axis="0 0 1"/>',
+)
+
+
 def test_data_without_the_pose_are_refused() -> None:
     """Where the machine may touch the ground, and not where it floats or the pose is there."""
     model = model_of()
+    planar = model_of(PLANAR)
+    with pytest.raises(Incompatible, match="base 'trunk' is not in the data"):
+        refuse_unknown_base(planar, {2})
+    refuse_unknown_base(planar, {1, 2})
     with pytest.raises(Incompatible, match="base 'base' is not in the data"):
         refuse_unknown_base(model, {7})
     refuse_unknown_base(model, {0, 1, 2})
