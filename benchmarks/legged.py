@@ -3,8 +3,7 @@
 `python benchmarks/legged.py fits SEED...` fits trunk mass, ground friction, and damping and dry
 friction of all joints to simulated logs, and prints each estimate with its distance from the truth.
 `python benchmarks/legged.py quick EFFECT SEED...` hides one effect and prints what a diagnosis by
-regression names. With `--imu` the logs hold an IMU's numbers in place of the trunk's pose, logs are
-of 5 s, and trunk mass and ground friction alone are fitted.
+regression names.
 """
 
 import sys
@@ -21,9 +20,6 @@ from dropo.diagnosis.regression.quick import QuickDiagnose
 from dropo.problems.simulated.example_quadruped import WALK, Change, Walk, write_quadruped
 
 SHORT = replace(WALK, seconds=10.0)
-IMU = "--imu" in sys.argv
-ARGUMENTS = [one for one in sys.argv[1:] if one != "--imu"]
-FITTED = replace(WALK, seconds=5.0, imu=True) if IMU else SHORT
 TRUTH = {"trunk": 6.5, "floor": 0.5, "damping": 0.5, "loss": 0.35}
 PARAMETERS = """
 parameters:
@@ -32,16 +28,14 @@ parameters:
   damping: {field: dof_damping, name: "*_*", shared: true, low: 0, high: 3, unit: N m s/rad}
   loss: {field: dof_frictionloss, name: "*_*", shared: true, low: 0, high: 2, unit: N m}
 """
-TWO = "".join(PARAMETERS.splitlines(keepends=True)[:4])
 
 
 def as_fitted(model: mujoco.MjModel) -> None:
     """The machine whose numbers a fit is to find."""
     model.body_mass[model.body("trunk").id] = TRUTH["trunk"]
     model.geom_friction[model.geom("floor").id, 0] = TRUTH["floor"]
-    if not IMU:
-        model.dof_damping[6:] = TRUTH["damping"]
-        model.dof_frictionloss[6:] = TRUTH["loss"]
+    model.dof_damping[6:] = TRUTH["damping"]
+    model.dof_frictionloss[6:] = TRUTH["loss"]
 
 
 def payload(model: mujoco.MjModel) -> None:
@@ -77,13 +71,12 @@ HIDDEN: dict[str, tuple[Change, Walk]] = {
     "friction": (stiff_joint, SHORT),
     "ground": (slippery, SHORT),
     "delay": (nothing, replace(SHORT, late=0.004)),
-    "tilt": (nothing, replace(SHORT, tilt=0.1)),
 }
 
 
 def written(folder: Path, seed: int, change: Change, walk: Walk) -> Path:
     """The problem file that `dropo init` makes of three logs, the last of which is held out."""
-    paths = write_quadruped(folder, 3, seed, replace(walk, imu=IMU), change)
+    paths = write_quadruped(folder, 3, seed, walk, change)
     init(paths[0], paths[1:], folder / "out")
     return folder / "out" / "problem.yaml"
 
@@ -92,8 +85,8 @@ def fits(seeds: list[int]) -> None:
     """One line for each seed: estimates, errors in standard errors, intervals, CPU time."""
 
     def one(folder: Path, seed: int) -> str:
-        path = written(folder, seed, as_fitted, FITTED)
-        path.write_text(path.read_text() + (TWO if IMU else PARAMETERS))
+        path = written(folder, seed, as_fitted, SHORT)
+        path.write_text(path.read_text() + PARAMETERS)
         began = time.process_time()
         found = fit(load(path, threads=1))
         seconds = time.process_time() - began
@@ -136,7 +129,7 @@ def _each(seeds: list[int], one: Callable[[Path, int], str], label: str = "") ->
 
 
 if __name__ == "__main__":
-    if ARGUMENTS[0] == "fits":
-        fits([int(seed) for seed in ARGUMENTS[1:]])
+    if sys.argv[1] == "fits":
+        fits([int(seed) for seed in sys.argv[2:]])
     else:
-        quick(ARGUMENTS[1], [int(seed) for seed in ARGUMENTS[2:]])
+        quick(sys.argv[2], [int(seed) for seed in sys.argv[3:]])
