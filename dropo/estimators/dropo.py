@@ -63,6 +63,8 @@ from dropo.estimators.support.whole_runs import (
 )
 from dropo.evaluation.emulator_check import check_emulator, parameters_without_spread
 from dropo.evaluation.held_out import held_out_errors
+from dropo.mjmodel.robot_simulator import RobotSimulator
+from dropo.mjmodel.standing import refuse_unknown_base
 
 LONG_TAILS = "The noise has long tails: a Student t of {:.3g} degrees of freedom."
 SWEEP = tuple(10.0**k for k in range(-8, -1))
@@ -135,7 +137,8 @@ class DROPO(Estimator):
         likelihood that brings its own settings.
     Incompatible
         If `draws` or `redraw` is given for a likelihood that draws nothing; by `fit`, if the
-        likelihood cannot be fitted with the optimizer, the starts or the effects that are there.
+        likelihood cannot be fitted with the optimizer, the starts or the effects that are there, or
+        the data lack the pose of a base that may touch something.
     SimulationFailed
         By `fit`, if the simulator diverges where a search of a sampled likelihood begins.
 
@@ -251,6 +254,9 @@ class DROPO(Estimator):
 
     def _fit(self, problem: Problem, run: Run) -> Fit:
         """With the noise that the settings ask for: swept, given, or learned with the rest."""
+        if isinstance(problem.simulator, RobotSimulator) and problem.reset == "transition":
+            observed = problem.simulator.layout.observed("qpos")
+            refuse_unknown_base(problem.simulator.model, observed)
         # Every fit of a sweep draws alike, so that fits differ by their noise alone.
         seeds = run.rng.integers(2**63, size=3)
         if self.epsilon == "tune":

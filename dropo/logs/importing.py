@@ -21,6 +21,7 @@ from dropo.core.services.tables import Report, Table, number
 from dropo.core.services.validation import Array
 from dropo.data.checks.findings import Finding, errors_first
 from dropo.data.reading import RUN_NAMES
+from dropo.logs.floating_base import add_base
 from dropo.logs.grids import (
     GridSettings,
     GridSpan,
@@ -40,6 +41,7 @@ from dropo.logs.mapping import read_mapping
 from dropo.logs.preparing import LoggedNoiseSettings, SignalNoise, add_velocities, clean_run
 from dropo.logs.readers.reader import Progress
 from dropo.logs.recordings import LogReadingSettings, LogRun, read_runs
+from dropo.logs.signals.base_motion import BaseMotionSettings
 from dropo.logs.signals.clocks import AlignmentSettings, SignalDelay, align_runs
 from dropo.mjmodel.joints import ModelJoints, load_model_joints
 
@@ -69,6 +71,8 @@ class ImportSettings:
         How stamps of logs are read.
     grid : GridSettings
         How recordings are put on the grid of control steps.
+    base : BaseMotionSettings
+        How the motion of a base that was not logged is estimated.
     """
 
     rate_error: float = 0.05
@@ -79,6 +83,7 @@ class ImportSettings:
     noise: LoggedNoiseSettings = field(default_factory=LoggedNoiseSettings)
     recordings: LogReadingSettings = field(default_factory=LogReadingSettings)
     grid: GridSettings = field(default_factory=GridSettings)
+    base: BaseMotionSettings = field(default_factory=BaseMotionSettings)
 
 
 DEFAULTS = ImportSettings()
@@ -313,9 +318,12 @@ def prepare(
         findings = errors_first([*findings, _rate_warning(runs, robot, skip, error)])
     runs, noise = add_velocities(runs, robot, settings.noise)
     worse = worse_velocities(noise, settings)
+    with_base = add_base(runs, robot, noise, settings.base)
+    findings = errors_first([*findings, *with_base.findings])
+    runs = with_base.runs
     progress(0.9, "resampling")
     gathered = _gather(raw, runs, mapping, robot, skip, settings.grid)
-    positions = [channel.name for channel in mapping.of("qpos")]
+    positions = _positions(runs[0])
     sensors = _sensor_names(mapping, robot)
     action, _ = _action_items(mapping, robot)
     return Import(
@@ -327,11 +335,11 @@ def prepare(
         rows=gathered.rows,
         trajectories=[len(piece.time) for piece in gathered.pieces],
         delays=delays,
-        noise=noise,
+        noise={**noise, **with_base.noise},
         left_out=gathered.excluded,
         findings=findings,
         inputs=mapping.candidates,
-        notes=_velocity_notes(noise, worse),
+        notes=(*_velocity_notes(noise, worse), *with_base.notes),
     )
 
 
@@ -473,9 +481,14 @@ def _unique_name(run: LogRun, taken: dict[str, Any]) -> str:
     return f"{run.path}: {run.name} ({len(taken)})"
 
 
+def _positions(run: LogRun) -> list[str]:
+    """The joints whose positions a run has."""
+    return [one.channel.name for one in run.series if one.channel.field == "qpos"]
+
+
 def _observations(run: LogRun, span: GridSpan, mapping: LogMapping, robot: ModelJoints) -> Array:
     """The observations (n, p) of a span."""
-    names = [channel.name for channel in mapping.of("qpos")]
+    names = _positions(run)
     positions = _sample_states("qpos", names, run, span, robot)
     velocities = _sample_states("qvel", names, run, span, robot)
     states = join_observations(robot, names, positions, velocities)

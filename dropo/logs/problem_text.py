@@ -11,6 +11,7 @@ from dropo.core.services.validation import Array
 from dropo.mjmodel.dynamics.drives import servo_of
 from dropo.mjmodel.dynamics.forces import inverse_forces
 from dropo.mjmodel.joints import Joint, ModelJoints, numbers_of
+from dropo.mjmodel.standing import floating_base
 
 HEAD = """\
 # Written by `dropo {command}`, which writes it anew until you change it. All keys: `dropo schema`.
@@ -46,6 +47,8 @@ class TextSettings:
         Factors on gains are searched from 1 / this to this.
     motor : (float, float)
         Factors on motors' gains are searched between these.
+    slippery : float
+        The factor on friction at contacts is searched from 1 / this to this.
     quantile : float
         Quantile of forces and speeds in the data from which the bounds of frictions are made.
     rows : int
@@ -57,6 +60,7 @@ class TextSettings:
     held_out_every: int = 3
     factor: float = 5.0
     motor: tuple[float, float] = (0.3, 2.0)
+    slippery: float = 3.0
     quantile: float = 0.98
     rows: int = 3000
 
@@ -228,7 +232,7 @@ class _Bounds:
             found += self._of_joint(i, joint)
         for name in self._robot.actuators:
             found.append(self._gain(name))
-        return [*found, self._mass()]
+        return [*found, self._mass(), *self._friction()]
 
     def _high(self, i: int) -> dict[str, float]:
         """The upper bounds of a joint."""
@@ -314,6 +318,16 @@ class _Bounds:
             f"#   mass: {{field: body_mass, name: {_quote(body)}, low: {mass / 2:.3g}, "
             f"high: {2 * mass:.3g}, unit: kg}}\n"
         )
+
+    def _friction(self) -> list[str]:
+        """One factor on the friction of everything that a machine with a free base touches."""
+        if floating_base(self._robot.model) is None:
+            return []
+        factor = self._settings.slippery
+        return [
+            '#   contact_friction: {field: geom_friction, name: "*", index: 0, target: relative, '
+            f"shared: true, low: {1 / factor:.2g}, high: {factor:g}}}\n"
+        ]
 
 
 def _entry(key: str, field: str, name: str, low: float, high: float, unit: str) -> str:

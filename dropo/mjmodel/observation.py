@@ -93,6 +93,20 @@ class Layout:
         """Whether a column is of sensor data, which MuJoCo computes with each step."""
         return any(column.field == "sensordata" for column in self.columns)
 
+    def observed(self, field: str) -> set[int]:
+        """Return the places of a field that are observed.
+
+        Parameters
+        ----------
+        field : str
+            "qpos", "qvel", "act" or "sensordata".
+
+        Returns
+        -------
+        set of int
+        """
+        return {column.place for column in self.columns if column.field == field}
+
     def _places(self, field: str) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """The columns of a field, and their places in it."""
         columns = [i for i, column in enumerate(self.columns) if column.field == field]

@@ -176,6 +176,7 @@ BUILT_IN: dict[str, dict[str, str]] = {
         "hopper-v5": "dropo.studies.hidden_effects.hopper_v5:hopper_v5_study",
         "sliding": "dropo.studies.tiboni_2021.sliding:sliding_study",
         "pushing": "dropo.studies.tiboni_2021.pushing:pushing_study",
+        "unlogged-base": "dropo.studies.unlogged_base.study:unlogged_base",
         "unlogged-states": "dropo.studies.unlogged_states.study:unlogged_states",
         "related-methods": "dropo.studies.related_methods.study:related_methods",
     },

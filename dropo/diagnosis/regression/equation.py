@@ -201,7 +201,7 @@ def refuse_unsuitable(simulator: RobotSimulator) -> None:
         )
     if model.neq:
         raise Incompatible("A regression over inverse dynamics knows no equality constraints.")
-    observed = {column.place for column in simulator.layout.columns if column.field == "qpos"}
+    observed = simulator.layout.observed("qpos")
     for joint in all_joints(model):
         if not observed.issuperset(range(joint.qpos, joint.qpos + len(joint.units("qpos")))):
             raise Incompatible(

@@ -13,6 +13,7 @@ from dropo.core.services.registry import names
 from dropo.core.services.validation import Array
 from dropo.effects.law import law_of_text
 from dropo.mjmodel.robot_simulator import RobotSimulator
+from dropo.mjmodel.standing import refuse_unknown_base
 
 LAW = "law"
 """The effect that a formula makes."""
@@ -87,13 +88,15 @@ def robot_of(problem: Problem) -> RobotSimulator:
     Raises
     ------
     Incompatible
-        If the simulator has no model that effects can be added to.
+        If the simulator has no model that effects can be added to, or the data lack the pose of a
+        base that touches something.
     """
     simulator = problem.simulator
     if not isinstance(simulator, RobotSimulator):
         raise Incompatible(
             f"{type(simulator).__name__} offers no effects. A diagnosis needs a MuJoCo model."
         )
+    refuse_unknown_base(simulator.model, simulator.layout.observed("qpos"))
     return simulator
 
 

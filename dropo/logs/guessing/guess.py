@@ -12,6 +12,7 @@ import numpy as np
 
 from dropo.core.services.errors import BadFile, Incompatible
 from dropo.core.services.validation import Array
+from dropo.logs.floating_base import lacks_base, missing_for_base
 from dropo.logs.guessing import words
 from dropo.logs.guessing.base import BaseColumns, find_base, moving_base, quaternion_order
 from dropo.logs.guessing.guessed import LISTED, Guess, quote
@@ -407,10 +408,7 @@ class _Guesser:
         if len(base.position) != 3 or len(base.quaternion) != 4:
             if not self._positions:
                 self._refuse_positions(self._columns.numeric_of(words.POSITION))
-            self.guess.lines.append(
-                f"no pose of {free[0].name} in the log: the model's base starts where it stands "
-                "in the model, and falls; fix it there if the machine hung on a stand"
-            )
+            self.guess.lines.append(self._say_no_pose(free[0].name))
             return
         turn = self._order_of(base, values)
         seven = [*base.position, *turn]
@@ -420,6 +418,21 @@ class _Guesser:
             entry["topic"] = seven[0].topic
         self.guess.mapping.setdefault("qpos", {})[free[0].name] = entry
         self.guess.lines.append(f"base: {free[0].name} = {quote(seven)}, in m and w, x, y, z")
+
+    def _say_no_pose(self, name: str) -> str:
+        """What becomes of a base whose pose is not in the log."""
+        said = f"no pose of {name} in the log"
+        if not lacks_base(self._robot, ()):
+            return f"{said}: it starts where it stands in the model"
+        sensors = list(self.guess.mapping.get("sensordata", {}))
+        missing = missing_for_base(self._robot, list(self._positions), sensors)
+        if missing:
+            return (
+                f"{said}, and none can be estimated without {'; '.join(missing)}. No fit through "
+                "contacts starts from that; fix the base in the model if the machine hung on a "
+                "stand"
+            )
+        return f"{said}: it is estimated from the IMU and from feet that stand on the ground"
 
     def _order_of(self, base: BaseColumns, values: dict[ColumnName, Array]) -> list[ColumnName]:
         """The columns of the quaternion in the order w, x, y, z."""

@@ -2,13 +2,14 @@
 
 `python -m dropo.problems.simulated.example_quadruped DIR` writes `quadruped.xml`, of the size of a
 Unitree Go1 and made of primitives, and CSV logs of a simulated machine of this model: pose of the
-trunk as motion capture gives it, angles of twelve joints, and what the servos were told. It is
-simulated at a finer step.
+trunk as motion capture gives it, angles of twelve joints, and what the servos were told. With
+`--imu` the logs hold what an IMU on the trunk shows in place of the pose. The machine is simulated
+at a finer step.
 """
 
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import mujoco
@@ -60,10 +61,15 @@ MODEL = f"""\
     <body name="trunk" pos="0 0 0.31">
       <freejoint name="base"/>
       <geom name="trunk" type="box" size="0.19 0.06 0.05" mass="5.2"/>
+      <site name="imu" pos="0.02 0 0.01"/>
 {_LEGS}    </body>
   </worldbody>
   <actuator>
 {"".join(_SERVO.format(joint=joint) for joint in _JOINTS)}  </actuator>
+  <sensor>
+    <gyro name="gyro" site="imu"/>
+    <accelerometer name="acc" site="imu"/>
+  </sensor>
 </mujoco>
 """
 STANCE = (0.0, 0.8, -1.6)
@@ -95,6 +101,12 @@ class Walk:
     position, rotation, angle : float
         Standard deviation of the noise on the trunk's position [m] and rotation [rad], and on the
         joints' angles [rad].
+    imu : bool
+        Whether an IMU's numbers are logged in place of the pose.
+    turning, acceleration : float
+        Standard deviation of the noise on what the gyro [rad/s] and the accelerometer [m/s^2] show.
+    tilt : float
+        By how much the IMU is mounted askew, about the trunk's axis to the left [rad].
     fallen : float
         Height of the trunk below which the machine has fallen [m].
     falling, shortest : float
@@ -116,6 +128,10 @@ class Walk:
     position: float = 5e-4
     rotation: float = 2e-3
     angle: float = 1e-3
+    imu: bool = False
+    turning: float = 0.02
+    acceleration: float = 0.3
+    tilt: float = 0.0
     fallen: float = 0.15
     falling: float = 0.5
     shortest: float = 2.0
@@ -141,6 +157,9 @@ class WalkLog:
         Of the joints in the model's order [rad].
     speeds : (n, 18) array
         True velocities, which no log holds [m/s, rad/s].
+    imu : (n, 6) array or None
+        What the gyro [rad/s] and the accelerometer [m/s^2] show, where the log holds that in place
+        of the pose.
     """
 
     time: Array
@@ -148,13 +167,18 @@ class WalkLog:
     angles: Array
     targets: Array
     speeds: Array = field(repr=False)
+    imu: Array | None = None
 
     def as_csv(self) -> str:
         """The log as text, without the velocities."""
-        pose = [f"trunk_{part}" for part in ("x", "y", "z", "qw", "qx", "qy", "qz")]
+        base = [f"trunk_{part}" for part in ("x", "y", "z", "qw", "qx", "qy", "qz")]
+        shown = self.pose
+        if self.imu is not None:
+            base = [f"{sensor}_{axis}" for sensor in ("gyro", "acc") for axis in "xyz"]
+            shown = self.imu
         targets = [f"{joint}_target" for joint in _JOINTS]
-        lines = [",".join(["time", *pose, *_JOINTS, *targets])]
-        table = np.column_stack([self.time, self.pose, self.angles, self.targets])
+        lines = [",".join(["time", *base, *_JOINTS, *targets])]
+        table = np.column_stack([self.time, shown, self.angles, self.targets])
         lines += [",".join(f"{x:.6f}" for x in row) for row in table]
         return "\n".join(lines) + "\n"
 
@@ -165,6 +189,7 @@ def write_quadruped(
     seed: int = 0,
     walk: Walk = WALK,
     change: Change | None = None,
+    machine: str = MODEL,
 ) -> list[Path]:
     """Write the model and logs of the example.
 
@@ -180,6 +205,8 @@ def write_quadruped(
         How the machine is driven and logged.
     change : callable, optional
         Makes the machine differ from its model.
+    machine : str, optional
+        MJCF of the machine that walks; the model that is written stays as it is.
 
     Returns
     -------
@@ -192,11 +219,16 @@ def write_quadruped(
     write_text(paths[0], MODEL)
     for number, rng in enumerate(np.random.default_rng(seed).spawn(runs), 1):
         paths.append(place / f"log{number}.csv")
-        write_text(paths[-1], walked(rng, walk, change).as_csv())
+        write_text(paths[-1], walked(rng, walk, change, machine).as_csv())
     return paths
 
 
-def walked(rng: np.random.Generator, walk: Walk = WALK, change: Change | None = None) -> WalkLog:
+def walked(
+    rng: np.random.Generator,
+    walk: Walk = WALK,
+    change: Change | None = None,
+    machine: str = MODEL,
+) -> WalkLog:
     """Let the machine walk, and log it.
 
     Parameters
@@ -206,6 +238,8 @@ def walked(rng: np.random.Generator, walk: Walk = WALK, change: Change | None = 
     walk : Walk, optional
     change : callable, optional
         Makes the machine differ from its model.
+    machine : str, optional
+        MJCF of the machine.
 
     Returns
     -------
@@ -217,7 +251,7 @@ def walked(rng: np.random.Generator, walk: Walk = WALK, change: Change | None = 
         If the machine falls.
     """
     command_rng, noise_rng = rng.spawn(2)
-    spec = mujoco.MjSpec.from_string(MODEL)
+    spec = mujoco.MjSpec.from_string(machine)
     spec.option.timestep /= walk.finer
     model = spec.compile()
     if change is not None:
@@ -234,8 +268,11 @@ def walked(rng: np.random.Generator, walk: Walk = WALK, change: Change | None = 
     targets = _targets(command_rng, time, walk)
     late = min(round(walk.late / step), skip)
     states = np.empty((count, model.nq + model.nv))
+    imu = np.empty((count, 6))
     for t in range(count):
         states[t] = robot.state()[1:]
+        if walk.imu:
+            imu[t] = robot.sensors()
         # A late command leaves the one before it in force for a part of the step.
         _hold(robot, command, late)
         targets[t] += _balance(robot.state()[1:], walk)
@@ -256,7 +293,18 @@ def walked(rng: np.random.Generator, walk: Walk = WALK, change: Change | None = 
     for row, turn in zip(pose, turned, strict=True):
         mujoco.mju_quatIntegrate(row[3:], turn, 1.0)
     angles = states[:, 7:19] + walk.angle * noise_rng.standard_normal((count, 12))
-    return WalkLog(time, pose, angles, targets, states[:, 19:])
+    shown = _shown(imu[:count], walk, noise_rng) if walk.imu else None
+    return WalkLog(time, pose, angles, targets, states[:, 19:], shown)
+
+
+def _shown(imu: Array, walk: Walk, rng: np.random.Generator) -> Array:
+    """What gyro and accelerometer (n, 6) show where they are mounted askew, with noise."""
+    along = np.cos(walk.tilt)
+    across = np.sin(walk.tilt)
+    turn = np.array([[along, 0, across], [0, 1, 0], [-across, 0, along]])
+    turned = np.concatenate([imu[:, :3] @ turn, imu[:, 3:] @ turn], axis=1)
+    noise = np.repeat([walk.turning, walk.acceleration], 3)
+    return turned + noise * rng.standard_normal(imu.shape)
 
 
 def _targets(rng: np.random.Generator, time: Array, walk: Walk) -> Array:
@@ -307,5 +355,7 @@ def _waves(rng: np.random.Generator, time: Array, count: int) -> Array:
 
 
 if __name__ == "__main__":
-    for path in write_quadruped(sys.argv[1] if len(sys.argv) > 1 else "."):
+    given = [one for one in sys.argv[1:] if one != "--imu"]
+    walked_with = replace(WALK, imu="--imu" in sys.argv)
+    for path in write_quadruped(given[0] if given else ".", walk=walked_with):
         print(path)
