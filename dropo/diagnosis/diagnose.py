@@ -886,7 +886,9 @@ def _anew(setup: _Setup, under: str) -> Selection:
         """Progress does not run backward."""
         progress(0.9, f"{text}, {under}")
 
-    return replace(setup.selection, progress=further, batches=[], origins={})
+    selection = replace(setup.selection, progress=further, batches=[], origins={})
+    selection.screening = setup.selection.screening
+    return selection
 
 
 def _stepped(setup: _Setup, arithmetic: Arithmetic, gain: float) -> _Setup:
@@ -1011,13 +1013,15 @@ def _worse_leader(searched: _Searched, instance: EffectInstance, beyond: Beyond)
 
 def _without(selection: Selection, labels: Collection[str]) -> Selection:
     """A search whose batches lack the trials of some effects."""
-    return replace(
+    left = replace(
         selection,
         origins={
             label: _without_trials(batch, labels) for label, batch in selection.origins.items()
         },
         batches=[_without_trials(batch, labels) for batch in selection.batches],
     )
+    left.screening = selection.screening
+    return left
 
 
 def _without_trials(batch: Batch, refused: Collection[str]) -> Batch:

@@ -424,7 +424,7 @@ def shift_linearization(
 
 
 def with_other_noise(
-    library: Library, linearized: LinearizedWindows, noise: Noise
+    library: Library, linearized: LinearizedWindows, noise: WindowNoise
 ) -> LinearizedWindows:
     """Give windows another noise, at their theta, with the start's loadings as they are.
 
@@ -453,7 +453,7 @@ def with_other_noise(
     return replace(linearized, residuals=residuals, whiten=whiten)
 
 
-def _loadings(library: Library, linearized: LinearizedWindows, noise: Noise) -> Array:
+def _loadings(library: Library, linearized: LinearizedWindows, noise: WindowNoise) -> Array:
     """The loadings of windows, with those of the steps' lengths where another noise has such."""
     loadings = linearized.loadings
     if not noise.timing or linearized.clocks:
