@@ -290,17 +290,23 @@ class Diagnose:
         wiring: tuple[str, ...],
         progress: Progress,
         log: EvaluationLog,
-    ) -> Explained | None:
-        """What a model lacks that is far off, where effects need not be named."""
+    ) -> tuple[Explained | None, int]:
+        """What a model lacks that is far off, where effects need not be named, and the simulator
+        steps of a search that was in vain.
+        """
         settings = self.settings
         if self.effects is not None or settings.far_off is None or wiring:
-            return None
+            return None, 0
         progress(0.0, "regression over inverse dynamics")
         start = start_of(problem, free, settings.far_off, settings.regression)
         if start is None:
-            return None
+            return None, 0
         explained = FarOffSearch(settings.motions, progress, log).run(start.model, start.whole)
-        return explained if start.sure or explained.fits or explained.interrupted else None
+        # Without an effect that is told from nothing, motions do not bear out the regression.
+        told = explained.certain & {instance.label for instance, _ in explained.model.numbers}
+        if explained.interrupted or (told and (start.sure or explained.fits)):
+            return explained, 0
+        return None, explained.simulator_steps
 
     def _length(self, problem: Problem, explained: Explained | None = None) -> int:
         """Control steps in a window."""
@@ -331,7 +337,7 @@ class Diagnose:
         """Everything that may be wrong, and the data to find it in."""
         problem, log, wiring = task.data, task.log, task.wiring
         free = _free(problem, self.parameters)
-        explained = self._explained(problem, free, wiring, progress, log)
+        explained, in_vain = self._explained(problem, free, wiring, progress, log)
         if explained is None:
             instances = instances_for(problem, self.effects, free)
             if task.held is not None:
@@ -353,7 +359,8 @@ class Diagnose:
         with_steps = with_cost(progress, library.simulator)
         selection = self._selection(library, train, estimated, with_steps, log)
         count = len(instances)
-        return _Setup(problem, explained, library, selection, train, test, free, count, wiring)
+        setup = _Setup(problem, explained, library, selection, train, test, free, count, wiring)
+        return replace(setup, in_vain=in_vain)
 
     def _run(self, task: "_Task", progress: Progress) -> Diagnosis:
         """The diagnosis of a problem, or of what is left of it without disturbances."""
@@ -364,7 +371,7 @@ class Diagnose:
         setup, found, undisturbed = _solved(setup, self.settings.noise, disturbed)
         try:
             if undisturbed is not None:
-                spent = task.spent + setup.library.simulator.steps
+                spent = task.spent + setup.in_vain + setup.library.simulator.steps
                 rest = replace(task, problem=setup.problem, undisturbed=undisturbed, spent=spent)
                 return self._run(replace(rest, before=found.last), progress)
             if not found.interrupted:
@@ -397,7 +404,9 @@ class Diagnose:
         library, selection = setup.library, setup.selection
         show = selection.progress
         far_off = setup.explained is not None
-        spent = task.spent + (setup.explained.simulator_steps if setup.explained else 0)
+        spent = task.spent + setup.in_vain
+        if setup.explained is not None:
+            spent += setup.explained.simulator_steps
         first, last, reviews = searched.first, searched.last, searched.reviews
         complete = not searched.interrupted
         show(0.9, "what remains")
@@ -759,6 +768,7 @@ class _Setup:
     refused: by their labels, effects that are no causes, with why, a sentence each.
     won: what its steps gained over the model's own [nats]; 0 if they are those.
     worse: by their labels, effects with which errors after some horizon are larger.
+    in_vain: simulator steps of a search by whole motions that told nothing.
     """
 
     problem: Problem
@@ -774,6 +784,7 @@ class _Setup:
     refused: Mapping[str, str] = field(default_factory=dict)
     won: float = 0.0
     worse: Mapping[str, Leader] = field(default_factory=dict)
+    in_vain: int = 0
 
     @property
     def instances(self) -> list[EffectInstance]:
@@ -922,7 +933,9 @@ def _anew(setup: _Setup, under: str) -> Selection:
         """Progress does not run backward."""
         progress(0.9, f"{text}, {under}")
 
-    return replace(setup.selection, progress=further, batches=[], origins={})
+    selection = replace(setup.selection, progress=further, batches=[], origins={})
+    selection.screening = setup.selection.screening
+    return selection
 
 
 def _stepped(setup: _Setup, arithmetic: Arithmetic, gain: float) -> _Setup:
@@ -1049,13 +1062,15 @@ def _worse_leader(searched: _Searched, instance: EffectInstance, beyond: Beyond)
 
 def _without(selection: Selection, labels: Collection[str]) -> Selection:
     """A search whose batches lack the trials of some effects."""
-    return replace(
+    left = replace(
         selection,
         origins={
             label: _without_trials(batch, labels) for label, batch in selection.origins.items()
         },
         batches=[_without_trials(batch, labels) for batch in selection.batches],
     )
+    left.screening = selection.screening
+    return left
 
 
 def _without_trials(batch: Batch, refused: Collection[str]) -> Batch:

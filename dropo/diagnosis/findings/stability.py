@@ -36,7 +36,7 @@ class StabilitySettings:
 
     lengths: tuple[float, ...] = (0.5, 2.0)
     alternatives: int = 7
-    stride: int = 2
+    stride: int = 4
     nearly: float = 0.9
 
 

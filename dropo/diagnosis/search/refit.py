@@ -109,9 +109,8 @@ def refit(
     LinearizedWindows
         The windows at the most likely theta and noise.
     """
-    linearized = settle(
-        library, linearized, free, floor, rounds=rounds, nonsmooth=nonsmooth, settings=settings
-    )
+    problem = _Steps(library, free, None, settings)
+    linearized, jacobian = _settled(problem, linearized, floor, rounds, nonsmooth)
     # Linearize anew where theta has gone, until that changes nothing any more.
     for _ in range(settings.renewals if renewals is None else renewals):
         if not _is_outdated(library, linearized, settings):
@@ -121,10 +120,10 @@ def refit(
         if abs(change) < settings.renewal_gain:
             linearized = renewed
             break
-        linearized = settle(library, renewed, free, floor, settings=settings)
+        linearized, jacobian = _settled(problem, renewed, floor, jacobian=jacobian)
     # Without noise, errors are so small that usual differences are too wide.
     if np.median(linearized.whiten.sigma / floor) < settings.noiseless:
-        return settle(library, linearized, free, floor, close=True, settings=settings)
+        return _settled(problem, linearized, floor, close=True)[0]
     return linearized
 
 
@@ -250,7 +249,25 @@ def settle(
     LinearizedWindows
     """
     problem = _Steps(library, free, known, settings)
-    jacobian = None
+    return _settled(problem, linearized, floor, rounds, nonsmooth, close=close)[0]
+
+
+def _settled(
+    problem: "_Steps",
+    linearized: LinearizedWindows,
+    floor: Array,
+    rounds: int = 2,
+    nonsmooth: Ints = NO_INDICES,
+    *,
+    jacobian: Array | None = None,
+    close: bool = False,
+) -> tuple[LinearizedWindows, Array | None]:
+    """Windows fitted as `settle` does, with the last Jacobian (f, W, n) where it still holds.
+
+    jacobian: one from near by that may be used at first.
+    """
+    library = problem.library
+    settings = problem.settings
     for _ in range(rounds):
         before = float(linearized.log_likelihood.sum())
         # Line scans of numbers that have no useful derivative; in the first round only.
@@ -259,7 +276,7 @@ def settle(
             jacobian = None
         nonsmooth = NO_INDICES
         # Theta under this noise, then the noise at this theta.
-        if len(free):
+        if len(problem.free):
             linearized, jacobian = maximize(
                 problem, linearized, settings.steps, jacobian=jacobian, close=close
             )
@@ -267,7 +284,7 @@ def settle(
         linearized = with_other_noise(library, linearized, noise)
         if abs(float(linearized.log_likelihood.sum()) - before) < settings.steps.tolerance:
             break
-    return linearized
+    return linearized, jacobian
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,8 +29,8 @@ def changed_elements(old: str, new: str) -> Iterator[str]:
     for path, element in before.items():
         # What is as by default is not written.
         if path not in after and element.attrib:
-            was = ", ".join(f'{key}="{value}"' for key, value in element.attrib.items())
-            yield f"<!-- {' > '.join(_readable(path))}: was {was}, now without -->"
+            gone_with_it = ", ".join(f'{key}="{value}"' for key, value in element.attrib.items())
+            yield f"<!-- {' > '.join(_readable(path))}: was {gone_with_it}, now without -->"
             yield f"<{element.tag}/>"
     for path, element in after.items():
         kept = before.get(path)

@@ -11,7 +11,7 @@ import numpy as np
 from dropo.core.services.validation import require
 from dropo.diagnosis.regression.quick import QuickDiagnose
 from dropo.estimators.dropo import DROPO
-from dropo.logs.starting import Start, init
+from dropo.logs.starting import InitResult, init
 from dropo.problems.loading import load
 from dropo.problems.simulated.example_quadruped import WALK, write_quadruped
 from dropo.studies.engine.study import Study, Table
@@ -152,7 +152,7 @@ def replication(item: list[Any]) -> dict[str, Any]:
 
 def _started(
     folder: Path, hidden: Hidden, seed: int, seconds: float, logs: int
-) -> tuple[Start, Path]:
+) -> tuple[InitResult, Path]:
     """What `dropo init` makes of a machine's logs, and its problem file."""
     walk = hidden.walk(replaced(WALK, seconds=seconds))
     paths = write_quadruped(folder, logs, seed, walk, machine=hidden.machine)
@@ -173,7 +173,7 @@ def _fitted(path: Path, seed: int) -> dict[str, Any]:
     }
 
 
-def _diagnosed(path: Path, started: Start, hidden: Hidden) -> dict[str, Any]:
+def _diagnosed(path: Path, started: InitResult, hidden: Hidden) -> dict[str, Any]:
     """What a quick diagnosis and the import name."""
     found = QuickDiagnose().run(load(path, threads=1))
     names = []
@@ -197,7 +197,7 @@ def _fit_rows(name: str, own: list[dict[str, Any]]) -> list[tuple[str, ...]]:
     se = np.array([answer["se"] for answer in own])
     inside = np.array([answer["inside"] for answer in own])
     steps = float(np.mean([answer["steps"] for answer in own]))
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for i, (parameter, unit) in enumerate(zip(TRUTH, ("kg", ""), strict=True)):
         rows.append(
             (
