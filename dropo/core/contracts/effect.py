@@ -194,6 +194,11 @@ class EffectInstance:
     trials : tuple
         The magnitudes (q,) that a screening tries, in sets that are tried together. By default each
         probe is a set; of several quantities, the last probes of each make one set.
+    linear_in : callable or None
+        Numbers (..., k) that magnitudes (..., q) stand for, and in which small responses are linear
+        where they are not in the magnitudes themselves: in proportion to the first, and smooth
+        where that is not 0. There is one set of at least k trials then, which span them; the first
+        q span enough of them for a first choice.
 
     Notes
     -----
@@ -224,6 +229,7 @@ class EffectInstance:
     formula: str = ""
     remembers: bool = False
     trials: tuple[tuple[tuple[float, ...], ...], ...] = ()
+    linear_in: Callable[[Array], Array] | None = None
 
     def __post_init__(self) -> None:
         if not self.trials:

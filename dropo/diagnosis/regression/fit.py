@@ -15,10 +15,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from dropo.core.numerics.closing_grid import SETTINGS as GRID
+from dropo.core.numerics.closing_grid import GridSettings, best_place
 from dropo.core.numerics.robust_statistics import deviation
 from dropo.core.services.validation import Array
 from dropo.diagnosis.regression.equation import Equation
-from dropo.diagnosis.regression.terms import Term, point_mass, point_mass_slope
+from dropo.diagnosis.regression.terms import Term, point_mass_slope
+from dropo.mjmodel.dynamics.body_regressors import point_mass
 
 GAIN = -1
 """The index that stands for the gain of all drives among the indices of terms."""
@@ -39,12 +42,8 @@ class FitSettings:
         Number of times that rows are weighted anew in a linear solve.
     steps : int
         Number of Gauss-Newton steps when all numbers are fitted together.
-    grid : int
-        Number of places along each axis at which a payload is tried.
-    finer : int
-        Number of times that this grid closes in on the best place.
-    same_gain : float
-        Places whose gains differ by less than this fraction are equally good.
+    places : GridSettings
+        Where a payload is tried.
     misfit : float
         Fraction of what is left, as variance, that may lie along any one number.
     """
@@ -53,9 +52,7 @@ class FitSettings:
     huber: float = 2.5
     weightings: int = 3
     steps: int = 10
-    grid: int = 7
-    finer: int = 5
-    same_gain: float = 1e-6
+    places: GridSettings = GRID
     misfit: float = 0.01
 
 
@@ -352,27 +349,11 @@ class Fitter:
 
     def _best_place(self, body: int, left: Array, aims: Array) -> tuple[float, Payload | None]:
         """How much 1 kg at the best place of a body explains, and the payload there."""
-        reach = width = self.reaches[body]
-        best: tuple[float, Payload | None] = (0.0, None)
-        centre = np.zeros(3)
-        for _ in range(self.settings.finer):
-            axis = np.linspace(-width, width, self.settings.grid)
-            offsets = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3)
-            places = np.clip(centre + offsets, -reach, reach)
-            numbers = np.array([point_mass(place) for place in places])
-            along = numbers @ aims
-            size = np.einsum("ij,jk,ik->i", numbers, left, numbers)
-            seen = (along > 0) & (size > 1e-9 * np.trace(left))
-            gains = np.where(seen, along**2 / np.where(seen, size, 1.0), 0.0)
-            # Of places that motions do not distinguish, the nearest to the centre.
-            as_good = np.flatnonzero(gains >= (1 - self.settings.same_gain) * gains.max())
-            k = int(as_good[np.argmin(np.linalg.norm(places[as_good] - centre, axis=1))])
-            if gains[k] <= best[0]:
-                return best
-            best = float(gains[k]), Payload(body, float(along[k] / size[k]), places[k])
-            centre = places[k]
-            width *= 2.4 / (self.settings.grid - 1)
-        return best
+        reach = np.full(3, self.reaches[body])
+        best = best_place(point_mass, left, aims, np.zeros(3), reach, self.settings.places)
+        if best is None:
+            return 0.0, None
+        return best.gain, Payload(body, best.size, best.place)
 
     # ---- all numbers together
 

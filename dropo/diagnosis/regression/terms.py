@@ -9,6 +9,7 @@ from dropo.core.contracts.effect import Model
 from dropo.core.services.validation import Array
 from dropo.diagnosis.regression.equation import Equation, model_of
 from dropo.mjmodel.bodies import body_masses, mass_centre, moving_bodies
+from dropo.mjmodel.dynamics.body_regressors import point_mass
 from dropo.mjmodel.dynamics.drives import feedback_at
 from dropo.mjmodel.joints import Joint, actuators, joints, numbers_of
 from dropo.mjmodel.options import gravity, physics_step
@@ -241,24 +242,6 @@ def _body_terms(model: Model, body: int, name: str, by_inertia: Array) -> list[T
             )
         )
     return found
-
-
-def point_mass(place: Array) -> Array:
-    """Return the ten inertial numbers of 1 kg at a place.
-
-    Parameters
-    ----------
-    place : (3,) array
-        In the body's frame [m].
-
-    Returns
-    -------
-    (10,) array
-        As `dropo.mjmodel.dynamics.body_regressors.INERTIAL` orders them.
-    """
-    x, y, z = place
-    moments = (y * y + z * z, x * x + z * z, x * x + y * y, -x * y, -x * z, -y * z)
-    return np.array([1.0, x, y, z, *moments])
 
 
 def point_mass_slope(place: Array, axis: Array) -> Array:

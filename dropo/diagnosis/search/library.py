@@ -17,10 +17,6 @@ from dropo.mjmodel.standing import refuse_unknown_base
 
 LAW = "law"
 """The effect that a formula makes."""
-BY_NAME = ("payload",)
-"""Effects that are looked for only where they are named: a payload has four numbers, and what it
-does is looked for as a mass, a centre of mass and an inertia.
-"""
 
 
 def instances_for(
@@ -33,8 +29,7 @@ def instances_for(
     problem : Problem
         With a MuJoCo model.
     effects : sequence of str, optional
-        Names of effects; "joint_damping:elbow" names one at one place. If None, all but those that
-        have to be named (`BY_NAME`).
+        Names of effects; "joint_damping:elbow" names one at one place. If None, all.
     free : int array, optional
         Indices of the declared parameters that are fitted; all if None.
 
@@ -55,7 +50,7 @@ def instances_for(
     simulator = robot_of(problem)
     wanted = effects
     if wanted is None:
-        wanted = [name for name in names("effects") if name not in BY_NAME]
+        wanted = names("effects")
     found: list[EffectInstance] = []
     for text in wanted:
         name, _, place = text.partition(":")

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from dropo.core.contracts.effect import EffectInstance
+from dropo.core.numerics.closing_grid import best_place
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.files.evaluation_log import EvaluationLog
 from dropo.core.services.validation import Array
@@ -93,6 +94,20 @@ class Candidate:
     magnitudes: Array
     gain: float
     signature: Array
+
+    def penalized_gain(self, steps: int) -> float:
+        """Return the gain less the BIC penalty for each magnitude beyond the first [nats].
+
+        Parameters
+        ----------
+        steps : int
+            Transitions in the windows.
+
+        Returns
+        -------
+        float
+        """
+        return self.gain - 0.5 * (len(self.magnitudes) - 1) * float(np.log(steps))
 
 
 Scored = dict[str, tuple[Candidate, Probe]]
@@ -267,7 +282,10 @@ class Screening:
         inside = _inside_bounds(self.library, some.theta, free)
         jacobian = self.library.jacobian(some.theta, inside, some.windows)
         self._add_first_responses(coarse)
-        ranked = _by_gain(self._score_all(some, jacobian, coarse, self.first_responses))
+        scored = self._score_all(some, jacobian, coarse, self.first_responses)
+        # By chance alone, effects of several numbers promise more than others.
+        steps = some.windows.steps
+        ranked = sorted(_by_gain(scored), key=lambda one: -one.penalized_gain(steps))
         finalists = [candidate.instance for candidate in ranked[: self.settings.finalists]]
         every = _every_probe(finalists)
         self._add_first_responses(every)
@@ -475,8 +493,11 @@ def coarse_probes(instance: EffectInstance) -> list[Probe]:
     -------
     list of tuple
         The smallest probe where predictions are smooth in the magnitudes; else the largest of each
-        sign, or several magnitudes.
+        sign, or several magnitudes. As many vectors as there are magnitudes where predictions are
+        linear in more numbers.
     """
+    if instance.linear_in is not None:
+        return [instance.trials[0][: len(instance.quantities)]]
     probes = sorted(instance.trials, key=_size)
     if all(quantity.smooth for quantity in instance.quantities):
         return probes[:1]
@@ -544,6 +565,8 @@ def _score(
     """
     lengths = np.linalg.norm(responses, axis=1)
     negligible = NEGLIGIBLE_RESPONSE * np.sqrt(variance * len(residuals))
+    if instance.linear_in is not None and probe in instance.trials:
+        return _score_place(library, instance, probe, responses, residuals, variance)
     if not np.all(lengths > negligible):
         return None
     # The multiples of the probe's t vectors that explain the residuals best, by least squares, and
@@ -564,6 +587,42 @@ def _score(
     gain = float(fitted @ residuals) / (2 * variance)
     signature = fitted / np.linalg.norm(fitted)
     return Candidate(instance, magnitudes, gain, signature)
+
+
+def _score_place(
+    library: Library,
+    instance: EffectInstance,
+    probe: Probe,
+    responses: Array,
+    residuals: Array,
+    variance: float,
+) -> Candidate | None:
+    """The score test of an effect whose responses are linear in numbers of its magnitudes.
+
+    The magnitudes behind the first are found on a grid, which costs no simulation; arguments as of
+    `_score`.
+    """
+    linear_in = instance.linear_in
+    if linear_in is None:
+        raise AssertionError("predictions are linear in the magnitudes")
+    tried = np.array(probe)
+    by_number = np.linalg.pinv(linear_in(tried), rcond=RANK_TOLERANCE) @ responses
+
+    def numbers(places: Array) -> Array:
+        """The numbers of a first magnitude of 1."""
+        return linear_in(np.insert(places, 0, 1.0, axis=1))
+
+    indices = library.places[instance.label]
+    high = library.simulator.space.high[indices]
+    best = best_place(
+        numbers, by_number @ by_number.T, by_number @ residuals, tried[0, 1:], high[1:]
+    )
+    if best is None:
+        return None
+    magnitudes = np.append(min(best.size, float(high[0])), best.place)
+    fitted = linear_in(np.append(best.size, best.place)) @ by_number
+    signature = fitted / max(float(np.linalg.norm(fitted)), SMALLEST_LENGTH)
+    return Candidate(instance, magnitudes, best.gain / (2 * variance), signature)
 
 
 def shortlist(

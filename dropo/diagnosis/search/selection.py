@@ -486,7 +486,7 @@ def _fraction_done(accepted: int, part: float) -> float:
 
 
 def nonsmooth_magnitudes(library: Library, instances: Sequence[EffectInstance]) -> Ints:
-    """Return the magnitudes of effects in which predictions are not smooth.
+    """Return the magnitudes of effects in which predictions are not smooth where they are now.
 
     Parameters
     ----------
@@ -502,6 +502,8 @@ def nonsmooth_magnitudes(library: Library, instances: Sequence[EffectInstance]) 
     """
     nonsmooth = []
     for instance in instances:
+        if instance.linear_in is not None:
+            continue  # smooth wherever it is present
         indices = library.places[instance.label]
         for index, quantity in zip(indices, instance.quantities, strict=True):
             if not quantity.smooth:

@@ -15,6 +15,23 @@ from dropo.mjmodel.bodies import (
     moving_bodies,
     write_inertia,
 )
+from dropo.mjmodel.dynamics.body_regressors import point_mass
+
+TRIED = np.array(
+    [
+        [0, 0, 0],
+        [1, 0, 0],
+        [0, 1, 0],
+        [0, 0, 1],
+        [-1, 0, 0],
+        [0, -1, 0],
+        [0, 0, -1],
+        [1, 1, 0],
+        [1, 0, 1],
+        [0, 1, 1],
+    ]
+)
+"""Ten places, in half the body's reach from its centre, whose inertial numbers span all ten."""
 
 
 def payload(context: EffectContext) -> Iterator[EffectInstance]:
@@ -45,9 +62,8 @@ def payload(context: EffectContext) -> Iterator[EffectInstance]:
             *(Quantity(axis, "m", -reach, reach, (0.5 * reach,), smooth=False) for axis in "xyz"),
         )
         # Mass times place is no smooth function of both where the mass is 0.
-        # The mass at the body's own centre, and moved from there along each axis.
         centre = np.clip(context.model.body_ipos[body], -0.5 * reach, 0.5 * reach)
-        places = [centre, *(centre + shift for shift in 0.5 * reach * np.eye(3))]
+        places = centre + 0.5 * reach * TRIED
         trial = tuple((0.1 * mass, *map(float, place)) for place in places)
         yield EffectInstance(
             "payload",
@@ -56,6 +72,7 @@ def payload(context: EffectContext) -> Iterator[EffectInstance]:
             model=partial(_add, body),
             general=simple,
             trials=(trial,),
+            linear_in=_inertial,
         )
         for site, place in body_sites(context.model, body):
             yield EffectInstance(
@@ -66,6 +83,11 @@ def payload(context: EffectContext) -> Iterator[EffectInstance]:
                 model=partial(_add_at, body, place),
                 general=simple,
             )
+
+
+def _inertial(magnitudes: Array) -> Array:
+    """The ten inertial numbers (..., 10) of a mass at a place (..., 4)."""
+    return np.asarray(magnitudes[..., :1] * point_mass(magnitudes[..., 1:]))
 
 
 def _add_at(body: int, place: Array, model: Any, magnitudes: Array) -> None:

@@ -22,6 +22,24 @@ INERTIAL = 10
 """Numbers of a body: m, m c (3), and Ixx, Iyy, Izz, Ixy, Ixz, Iyz about its origin."""
 
 
+def point_mass(place: Array) -> Array:
+    """Return the ten inertial numbers of 1 kg at a place.
+
+    Parameters
+    ----------
+    place : (..., 3) array
+        In the body's frame [m].
+
+    Returns
+    -------
+    (..., 10) array
+        As `INERTIAL` orders them.
+    """
+    x, y, z = np.moveaxis(np.asarray(place, dtype=float), -1, 0)
+    moments = (y * y + z * z, x * x + z * z, x * x + y * y, -x * y, -x * z, -y * z)
+    return np.stack([np.ones_like(x), x, y, z, *moments], axis=-1)
+
+
 @dataclass(frozen=True, eq=False)
 class InverseDynamics:
     """What a motion needs.

@@ -167,8 +167,13 @@ def _smallest(
 ) -> float | None:
     """The smallest size of one effect, by the sign that needs more; None where there is none."""
     space = library.simulator.space
-    place = int(library.places[instance.label][0])
-    base = float(last.theta[place])
+    places = library.places[instance.label]
+    place = int(places[0])
+    theta = last.theta.copy()
+    if instance.linear_in is not None:
+        # It acts in proportion to its first magnitude, wherever it is.
+        theta[places[1:]] = instance.trials[0][0][1:]
+    base = float(theta[place])
     room = {1.0: float(space.high[place]) - base, -1.0: base - float(space.low[place])}
     probe = min(abs(value) for value in instance.quantities[0].probes)
     sizes: list[float] = []
@@ -179,7 +184,8 @@ def _smallest(
         size = min(max(sizes, default=probe), most)
         needed = None
         for _ in range(settings.rounds):
-            squares = _squares(library, last, place, sign * size, basis)
+            theta[place] = base + sign * size
+            squares = _squares(library, last.test, theta, basis)
             if squares is None or np.sqrt(squares.max()) < settings.none:
                 needed = None
                 break
@@ -198,12 +204,9 @@ def _smallest(
 
 
 def _squares(
-    library: Library, last: State, place: int, change: float, basis: Array | None
+    library: Library, test: LinearizedWindows, theta: Array, basis: Array | None
 ) -> Array | None:
     """(W,) the squared length of each window's whitened response; None where it diverges."""
-    test = last.test
-    theta = last.theta.copy()
-    theta[place] += change
     response = library.predict(theta[None], test.windows)[0] - test.predicted
     if not np.isfinite(response[~test.lost]).all():
         return None
