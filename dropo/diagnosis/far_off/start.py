@@ -40,6 +40,10 @@ class FarOffLimits:
         forces.
     kinds : int
         Smallest number of such kinds.
+    scale : float
+        Where the drives' gain is not certain and without it at most this many times as much is left
+        of the forces, the numbers count that are certain without it: all that a gain makes larger,
+        the model's own rotors and friction too, seems to be missing beside it.
     """
 
     numbers: int = 4
@@ -47,6 +51,7 @@ class FarOffLimits:
     forces: float = 0.1
     explained: float = 0.5
     kinds: int = 2
+    scale: float = 1.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +105,10 @@ def start_of(
         return None
     named = [one for one in estimate.numbers(simulator, settings.certain) if one.named]
     sure = len(named) >= limits.numbers or abs(estimate.solution.gain) >= limits.gain
+    if sure and not estimate.is_certain_gain(settings.certain):
+        known = estimate.with_own_gain()
+        if known.left <= limits.scale * estimate.left:
+            sure = known.certain_numbers(settings.certain) >= limits.numbers
     if not sure and not _may_be(estimate, [one.effect for one in named], limits):
         return None
     space = simulator.space

@@ -372,6 +372,60 @@ class Missing:
         lowest = self.fitter.terms[i].lowest
         return bool(self.solution.sizes[i] <= lowest + 1e-6 * abs(lowest))
 
+    def is_certain_gain(self, certain: float) -> bool:
+        """Tell whether the gain of all drives is known to be wrong.
+
+        Parameters
+        ----------
+        certain : float
+            Standard errors that it must be away from 0.
+
+        Returns
+        -------
+        bool
+            Also where it is not among the numbers.
+        """
+        if GAIN not in self.solution.chosen:
+            return True
+        error = float(self.errors[0]) / self.solution.beta**2
+        return abs(self.solution.gain) > certain * error
+
+    def with_own_gain(self) -> "Missing":
+        """Fit all other numbers again with the drives' gain as the model has it.
+
+        Returns
+        -------
+        Missing
+            With the standard errors of the rows alone.
+        """
+        solution = self.fitter.refined(self.without(GAIN))
+        errors = np.sqrt(np.diagonal(self.fitter.covariance(solution)))
+        return replace(self, solution=solution, errors=errors)
+
+    def certain_numbers(self, certain: float) -> int:
+        """Count the terms, and the payload, that are certain.
+
+        Parameters
+        ----------
+        certain : float
+            Standard errors that a number must be away from 0.
+
+        Returns
+        -------
+        int
+            Without the gain and the delay of all drives.
+        """
+        solution = self.solution
+        first = int(GAIN in solution.chosen)
+        count = 0
+        for i, error in zip(solution.terms, self.errors[first:].tolist(), strict=False):
+            least = max(self.fitter.terms[i].least, certain * error)
+            count += not self.at_bound(i) and abs(float(solution.sizes[i])) > least
+        if solution.payload is not None:
+            error = float(self.errors[first + len(solution.terms)])
+            count += solution.payload.mass > certain * error
+        return count
+
     def doubtful(self, certain: float) -> int | str | None:
         """Find the least certain number, if it is not certain.
 
