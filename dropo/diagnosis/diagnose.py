@@ -19,7 +19,7 @@ from dropo.core.services.tables import number, steps_text
 from dropo.core.services.validation import Array, known, require
 from dropo.data.outliers.without_disturbances import WithoutDisturbances, without_disturbances
 from dropo.diagnosis.far_off.search import Explained, FarOffSearch, FarOffSettings
-from dropo.diagnosis.far_off.start import FarOffLimits, start_of
+from dropo.diagnosis.far_off.start import FarOffLimits, FarOffStart, start_of
 from dropo.diagnosis.findings.accuracy.every_horizon import (
     Beyond,
     EveryHorizonSettings,
@@ -56,6 +56,7 @@ from dropo.diagnosis.parts import Cause, Leader, Remaining
 from dropo.diagnosis.regression.quick import QuickSettings
 from dropo.diagnosis.regression.wiring import Wiring, WiringSettings, wiring_of
 from dropo.diagnosis.result import Diagnosis, HeldOut
+from dropo.diagnosis.search.aliases import beside_the_rest
 from dropo.diagnosis.search.arithmetic import Arithmetic, ArithmeticAlternatives
 from dropo.diagnosis.search.bounds import at_bounds
 from dropo.diagnosis.search.confirmation import SelectionSettings, gain_of
@@ -65,6 +66,7 @@ from dropo.diagnosis.search.linearization import Library, shift_linearization
 from dropo.diagnosis.search.refit import other_noise
 from dropo.diagnosis.search.review import Review, merge, review, reviews_so_far
 from dropo.diagnosis.search.selection import STOPPING, Selection
+from dropo.diagnosis.search.sets import SetSearch, SetSettings
 from dropo.diagnosis.search.trials import Batch, State
 from dropo.diagnosis.search.whitening import WhitenessSettings, WindowNoise, white
 from dropo.diagnosis.search.window_length import (
@@ -101,6 +103,10 @@ class DiagnosisSettings:
         When errors after a horizon that is printed speak against an effect, or the verdict.
     detectable : DetectableSettings
         How it is found what the data of a consistent model would have shown.
+    sets : SetSettings
+        Which sets of effects are compared where something remains ...
+    sure_effects : int
+        ... or where more than this many effects are found.
     laws : LawSettings
         How laws are looked for in what known effects leave unexplained.
     wiring : WiringSettings or None
@@ -136,6 +142,8 @@ class DiagnosisSettings:
     noise: WhitenessSettings = field(default_factory=WhitenessSettings)
     horizons: EveryHorizonSettings = field(default_factory=EveryHorizonSettings)
     detectable: DetectableSettings = field(default_factory=DetectableSettings)
+    sets: SetSettings = field(default_factory=SetSettings)
+    sure_effects: int = 2
     laws: LawSettings = field(default_factory=LawSettings)
 
 
@@ -283,25 +291,22 @@ class Diagnose:
         stated: Any = problem.settings.get("windows", self.settings.windows)
         return int(stated)
 
+    def _start(self, task: "_Task", progress: Progress) -> FarOffStart | None:
+        """What a model may lack that is far off, where effects need not be named."""
+        settings = self.settings
+        if self.effects is not None or settings.far_off is None or task.wiring:
+            return None
+        progress(0.0, "regression over inverse dynamics")
+        free = _free(task.data, self.parameters)
+        return start_of(task.data, free, settings.far_off, settings.regression)
+
     def _explained(
-        self,
-        problem: Problem,
-        free: Ints,
-        wiring: tuple[str, ...],
-        progress: Progress,
-        log: EvaluationLog,
+        self, start: FarOffStart, progress: Progress, log: EvaluationLog
     ) -> tuple[Explained | None, int]:
-        """What a model lacks that is far off, where effects need not be named, and the simulator
+        """What a model lacks that is far off, where whole motions bear that out, and the simulator
         steps of a search that was in vain.
         """
-        settings = self.settings
-        if self.effects is not None or settings.far_off is None or wiring:
-            return None, 0
-        progress(0.0, "regression over inverse dynamics")
-        start = start_of(problem, free, settings.far_off, settings.regression)
-        if start is None:
-            return None, 0
-        explained = FarOffSearch(settings.motions, progress, log).run(start.model, start.whole)
+        explained = FarOffSearch(self.settings.motions, progress, log).run(start.model, start.whole)
         # Without an effect that is told from nothing, motions do not bear out the regression.
         told = explained.certain & {instance.label for instance, _ in explained.model.numbers}
         if explained.interrupted or (told and (start.sure or explained.fits)):
@@ -333,11 +338,10 @@ class Diagnose:
         log = log or EvaluationLog()
         return Selection(library, floor, progress, self.settings.selection, log)
 
-    def _set_up(self, task: "_Task", progress: Progress) -> "_Setup":
+    def _set_up(self, task: "_Task", explained: Explained | None, progress: Progress) -> "_Setup":
         """Everything that may be wrong, and the data to find it in."""
         problem, log, wiring = task.data, task.log, task.wiring
         free = _free(problem, self.parameters)
-        explained, in_vain = self._explained(problem, free, wiring, progress, log)
         if explained is None:
             instances = instances_for(problem, self.effects, free)
             if task.held is not None:
@@ -359,19 +363,45 @@ class Diagnose:
         with_steps = with_cost(progress, library.simulator)
         selection = self._selection(library, train, estimated, with_steps, log)
         count = len(instances)
-        setup = _Setup(problem, explained, library, selection, train, test, free, count, wiring)
-        return replace(setup, in_vain=in_vain)
+        return _Setup(problem, explained, library, selection, train, test, free, count, wiring)
 
     def _run(self, task: "_Task", progress: Progress) -> Diagnosis:
         """The diagnosis of a problem, or of what is left of it without disturbances."""
-        setup = self._set_up(task, progress)
+        start = self._start(task, progress)
+        if start is None:
+            return self._by_search(task, None, progress)
+        if start.sure:
+            explained, in_vain = self._explained(start, progress, task.log)
+            return self._by_search(replace(task, spent=task.spent + in_vain), explained, progress)
+        # A model that may be far off may lack but little: a few causes that explain all go first.
+        found = self._plain._run(task, progress)
+        if found.interrupted or found.verdict in ("consistent", "explained"):
+            return found
+        explained, in_vain = self._explained(start, progress, task.log)
+        spent = found.simulator_steps
+        if explained is None:
+            return replace(found, simulator_steps=spent + in_vain)
+        if explained.interrupted:
+            return replace(found, interrupted=True)
+        return self._by_search(replace(task, spent=spent), explained, progress)
+
+    @property
+    def _plain(self) -> "Diagnose":
+        """The same for a model that is not far off."""
+        return replace(self, settings=replace(self.settings, far_off=None))
+
+    def _by_search(
+        self, task: "_Task", explained: Explained | None, progress: Progress
+    ) -> Diagnosis:
+        """The diagnosis by a search for effects, or by whole motions where these explain it."""
+        setup = self._set_up(task, explained, progress)
         setup.selection.progress(0.0, "fitting the model as it is")
         setup = _with_noise_left(setup, task.before, self.settings.noise)
         disturbed = partial(self._without_disturbances, task)
         setup, found, undisturbed = _solved(setup, self.settings.noise, disturbed)
         try:
             if undisturbed is not None:
-                spent = task.spent + setup.in_vain + setup.library.simulator.steps
+                spent = task.spent + setup.library.simulator.steps
                 rest = replace(task, problem=setup.problem, undisturbed=undisturbed, spent=spent)
                 return self._run(replace(rest, before=found.last), progress)
             if not found.interrupted:
@@ -404,7 +434,7 @@ class Diagnose:
         library, selection = setup.library, setup.selection
         show = selection.progress
         far_off = setup.explained is not None
-        spent = task.spent + setup.in_vain
+        spent = task.spent
         if setup.explained is not None:
             spent += setup.explained.simulator_steps
         first, last, reviews = searched.first, searched.last, searched.reviews
@@ -431,6 +461,8 @@ class Diagnose:
             return self._result(task, *further, progress)
         whole = of_each if complete else ()
         errors = _errors_without_and_with(data, library, last, reviews, whole)
+        if complete and not far_off:
+            reviews = beside_the_rest(library, last, reviews)
         found = causes(
             library,
             last,
@@ -446,9 +478,8 @@ class Diagnose:
         )
         if far_off and not found and complete:
             # Motions do not bear out what regression finds.
-            plain = replace(self, settings=replace(self.settings, far_off=None))
             spent += library.simulator.steps
-            return plain._run(replace(task, spent=spent), progress)
+            return self._plain._run(replace(task, spent=spent), progress)
         nominal, fitted, with_causes = (tuple(one.models[i] for one in after) for i in range(3))
         # With disturbances the windows' own horizon alone, on all data held out.
         inside: list[list[Horizon]] = []
@@ -530,6 +561,13 @@ class Diagnose:
             further = _without_short_delays(setup, searched)
             if further is not None:
                 return further
+        # Effects that were accepted one after another may stand for others that act together.
+        doubtful = not rest.calibrated or len(searched.last.accepted) > self.settings.sure_effects
+        if doubtful and not setup.compared:
+            further = _with_another_set(setup, searched, self.settings.sets)
+            if further is not None:
+                return further
+            setup = replace(setup, compared=True)
         # Where known effects leave something, it may follow a law that none of them stands for.
         if searched.laws is None and self._wants_laws(setup.library, searched.last, rest):
             return self._with_laws(setup, searched, rng)
@@ -768,7 +806,7 @@ class _Setup:
     refused: by their labels, effects that are no causes, with why, a sentence each.
     won: what its steps gained over the model's own [nats]; 0 if they are those.
     worse: by their labels, effects with which errors after some horizon are larger.
-    in_vain: simulator steps of a search by whole motions that told nothing.
+    compared: whether sets of effects were compared, and a better one was found.
     """
 
     problem: Problem
@@ -784,7 +822,7 @@ class _Setup:
     refused: Mapping[str, str] = field(default_factory=dict)
     won: float = 0.0
     worse: Mapping[str, Leader] = field(default_factory=dict)
-    in_vain: int = 0
+    compared: bool = False
 
     @property
     def instances(self) -> list[EffectInstance]:
@@ -1031,6 +1069,18 @@ def _without_short_delays(setup: _Setup, searched: _Searched) -> tuple[_Setup, _
     # More exact steps were tried beside them, and were not better.
     further, reviews = _explain(setup, searched.first, selection.polish(begun))
     return setup, replace(searched, last=further, reviews=reviews)
+
+
+def _with_another_set(
+    setup: _Setup, searched: _Searched, settings: SetSettings
+) -> tuple[_Setup, _Searched] | None:
+    """The search gone on with a set of effects that is better; None where none is."""
+    sets = SetSearch(setup.selection, searched.first, setup.instances, settings)
+    better = sets.run(searched.last)
+    if better is searched.last:
+        return None
+    last, reviews = _explain(setup, searched.first, better)
+    return replace(setup, compared=True), replace(searched, last=last, reviews=reviews)
 
 
 def _without_worse(

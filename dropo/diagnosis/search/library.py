@@ -2,6 +2,7 @@
 
 import copy
 from collections.abc import Sequence
+from types import MappingProxyType
 
 import numpy as np
 
@@ -17,6 +18,31 @@ from dropo.mjmodel.standing import refuse_unknown_base
 
 LAW = "law"
 """The effect that a formula makes."""
+PARTNERS = MappingProxyType({"actuator_delay": "actuator_lag", "actuator_lag": "actuator_delay"})
+"""Effects that often come together at one place, with numbers of one kind that share what either
+alone stands for: a motor's late force is dead time and lag.
+"""
+
+
+def partner_of(
+    instance: EffectInstance, instances: Sequence[EffectInstance]
+) -> EffectInstance | None:
+    """Return the effect that often comes with another at its place.
+
+    Parameters
+    ----------
+    instance : EffectInstance
+        The other.
+    instances : sequence of EffectInstance
+        Those that are looked for.
+
+    Returns
+    -------
+    EffectInstance or None
+        None where there is no such effect, or it is not looked for.
+    """
+    wanted = (PARTNERS.get(instance.effect), instance.target)
+    return next((one for one in instances if (one.effect, one.target) == wanted), None)
 
 
 def instances_for(

@@ -5,8 +5,8 @@ in a search, theta (m,) holds the declared parameters, then the magnitudes of al
 an effect is absent.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -32,11 +32,15 @@ class Review:
         that several were merged into and that no batch had tried.
     alternatives : sequence of Trial
         Other candidates of that batch, refitted in its place.
+    similar : mapping of str to float
+        By their labels, the cosines of other effects' responses with its own, what the rest of the
+        set explains projected out; none where nothing else was accepted.
     """
 
     without: State
     origin: Batch | None
     alternatives: Sequence[Trial]
+    similar: Mapping[str, float] = field(default_factory=dict)
 
 
 def review(selection: Selection, state: State) -> tuple[State, dict[str, Review]]:
@@ -220,7 +224,7 @@ def merge(selection: Selection, state: State, instances: Sequence[EffectInstance
         saved_penalty = 0.5 * (magnitudes - len(fewer)) * np.log(state.train.windows.steps)
         if -gain < saved_penalty:
             for instance in fewer:
-                _note_origin(selection, instance)
+                note_origin(selection, instance)
             return merged
     return state
 
@@ -276,7 +280,7 @@ def _merged(
     return selection.polish(start)
 
 
-def _note_origin(selection: Selection, instance: EffectInstance) -> None:
+def note_origin(selection: Selection, instance: EffectInstance) -> None:
     """Note the first batch in which an effect was tried as the one that it was accepted from."""
     for batch in selection.batches:
         if any(trial.candidate.instance.label == instance.label for trial in batch.trials):
@@ -321,10 +325,12 @@ def ambiguity(
     # By label, the effects with the same response, and why; the effect itself is among them as yet.
     others: dict[str, tuple[Candidate, str]] = {}
     for candidate in screened:
+        label = candidate.instance.label
         cosine = abs(float(candidate.signature @ own.signature))
+        beside = "" if label not in reviewed.similar else " beside the rest"
+        cosine = reviewed.similar.get(label, cosine)
         if cosine > settings.similarity:
-            why = f"similarity {cosine:.3f}"
-            others[candidate.instance.label] = (candidate, why)
+            others[label] = (candidate, f"similarity {cosine:.3f}{beside}")
 
     # Alternatives that are hardly worse on windows held out.
     for trial in reviewed.alternatives:
@@ -333,6 +339,8 @@ def ambiguity(
         is_close = z < settings.indistinguishable_z or deficit < settings.deficit
         if is_close and label not in others:
             why = f"{deficit:.1f} nats worse on held-out data, {z:.1f} standard errors"
+            if label in reviewed.similar:
+                why += f"; similarity {reviewed.similar[label]:.3f} beside the rest"
             others[label] = (trial.fitted_candidate, why)
 
     # All but the effect itself, with a time profile or without.

@@ -325,7 +325,7 @@ class Screening:
         # Whatever the free numbers of theta explain is no evidence of an effect: project it out of
         # the whitened residuals, and below out of the whitened responses.
         basis = _explained_by(linearized, jacobian)
-        residuals = _project_out(linearized.flat(linearized.residuals), basis)
+        residuals = project_out(linearized.flat(linearized.residuals), basis)
         measurements = max(linearized.residuals[~linearized.lost].size, 1)
         mean_square = float(residuals @ residuals) / measurements
         variance = max(mean_square, self.settings.minimum_variance)
@@ -335,7 +335,7 @@ class Screening:
         best: Scored = {}
         for instance, probe in probed:
             changes = responses[instance.label, probe]
-            whitened = _project_out(linearized.flat(changes), basis)
+            whitened = project_out(linearized.flat(changes), basis)
             scored = [_score(library, theta, instance, probe, whitened, residuals, variance)]
             if instance.sensor_delay is not None:
                 for magnitudes, change in zip(probe, changes, strict=True):
@@ -543,8 +543,21 @@ def _size(probe: Probe) -> float:
     return float(np.abs(probe).sum())
 
 
-def _project_out(rows: Array, basis: Array | None) -> Array:
-    """Rows (..., N) less their projections on an orthonormal basis (N, f), if there is one."""
+def project_out(rows: Array, basis: Array | None) -> Array:
+    """Take the projections of rows on a basis away.
+
+    Parameters
+    ----------
+    rows : (..., N) array
+        Whitened residuals or responses.
+    basis : (N, f) array or None
+        Orthonormal.
+
+    Returns
+    -------
+    (..., N) array
+        The rows as they are where there is no basis.
+    """
     if basis is None:
         return rows
     return rows - (rows @ basis) @ basis.T

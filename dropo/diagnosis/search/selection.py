@@ -27,6 +27,7 @@ from dropo.diagnosis.search.confirmation import (
     has_less_noise,
     is_confirmed,
 )
+from dropo.diagnosis.search.library import partner_of
 from dropo.diagnosis.search.linearization import (
     Library,
     LinearizedWindows,
@@ -242,13 +243,14 @@ class Selection:
             confirmed, unconfirmed = self._confirm(state, trials, needed_gain)
             found = self._accept_first(state, confirmed, needed_gain)
             if found is not None:
-                return found
+                return self._with_partner(found, instances, needed_gain)
             with_less_noise += unconfirmed
 
         # None was confirmed as it was tried, linearized under the noise before. Where the noise has
         # fallen much, linearize anew: one trial at a time, as `_accept_first` asks for them.
         renewed = (replace(trial, state=self.polish(trial.state)) for trial in with_less_noise)
-        return self._accept_first(state, renewed, needed_gain)
+        found = self._accept_first(state, renewed, needed_gain)
+        return None if found is None else self._with_partner(found, instances, needed_gain)
 
     def _screen(
         self, state: State, instances: Sequence[EffectInstance]
@@ -305,6 +307,77 @@ class Selection:
                 self.origins[trial.candidate.instance.label] = self._origin(trial.candidate)
                 return polished
         return None
+
+    def _with_partner(
+        self, state: State, instances: Sequence[EffectInstance], needed_gain: float
+    ) -> State:
+        """The state with what often comes with its last effect, where windows held out confirm it.
+
+        So the two are one candidate of several numbers: what one of them stands for at first is
+        shared.
+        """
+        last = state.accepted[-1]
+        partner = partner_of(last, instances)
+        if partner is None or partner in state.accepted:
+            return state
+        own = self.library.places[last.label]
+        others = self.library.places[partner.label]
+        theta = state.theta.copy()
+        theta[own] = theta[others] = 0.5 * state.theta[own]
+        self.progress(_fraction_done(len(state.accepted), 1.0), f"fitting {partner.label} as well")
+        both = self.try_set(state, theta, (), (partner,), scanned=(last, partner))
+        if not is_confirmed(state.test, both.test, needed_gain, self.settings):
+            return state
+        both = self.polish(both)
+        if not is_confirmed(state.test, both.test, needed_gain, self.settings):
+            return state
+        self.origins[partner.label] = self.origins[last.label]
+        return both
+
+    def try_set(
+        self,
+        state: State,
+        theta: Array,
+        removed: Sequence[EffectInstance],
+        added: Sequence[EffectInstance],
+        scanned: Sequence[EffectInstance] | None = None,
+    ) -> State:
+        """Fit a model with other effects in the place of some of its own.
+
+        Parameters
+        ----------
+        state : State
+            The model as it is.
+        theta : (m,) array
+            Where the fit begins: with the added effects, and 0 for those removed.
+        removed, added : sequence of EffectInstance
+            The effects that go, and those that come.
+        scanned : sequence of EffectInstance, optional
+            The effects whose magnitudes are scanned first where predictions are not smooth in them;
+            those added if None.
+
+        Returns
+        -------
+        State
+            Fitted enough to compare it with others, linearized as `state` is.
+        """
+        library = self.library
+        without = [library.places[instance.label] for instance in removed]
+        further = [library.places[instance.label] for instance in added]
+        free = np.setdiff1d(state.free, np.concatenate([NO_INDICES, *without]))
+        free = np.concatenate([free, *further]).astype(np.int64)
+        nonsmooth = nonsmooth_magnitudes(library, added if scanned is None else scanned)
+        settings = self.settings.refit
+
+        def fit() -> Sides:
+            start = shift_linearization(library, state.train, theta, state.train.whiten.noise)
+            train = settle(library, start, free, self.floor, nonsmooth=nonsmooth, settings=settings)
+            noise = train.whiten.noise
+            return train, shift_linearization(library, state.test, train.theta, noise)
+
+        train, test = self._recorded(state, theta, fit)
+        kept = tuple(instance for instance in state.accepted if instance not in removed)
+        return State(train, test, free, (*kept, *added))
 
     def _origin(self, candidate: Candidate) -> Batch:
         """The last batch with the candidate."""

@@ -1,0 +1,126 @@
+"""Which effects do the same to the data as an accepted one, beside the rest of its set.
+
+What the rest of the set can take up does not tell two effects apart. So the cosine of two responses
+is that of what is left of them when those to all other fitted numbers are projected out.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dropo.core.contracts.effect import EffectInstance
+from dropo.core.services.validation import Array
+from dropo.diagnosis.search.linearization import Library
+from dropo.diagnosis.search.review import Review
+from dropo.diagnosis.search.screening import SMALLEST_LENGTH, Candidate, project_out
+from dropo.diagnosis.search.trials import State
+
+
+@dataclass(frozen=True)
+class AliasSettings:
+    """Which responses are compared.
+
+    Attributes
+    ----------
+    nearly : float
+        Cosine with an accepted effect, when that was accepted, from which another is compared again
+        beside the rest of the set.
+    most : int
+        Effects that are compared with an accepted one, at most.
+    """
+
+    nearly: float = 0.9
+    most: int = 6
+
+
+SETTINGS = AliasSettings()
+
+
+def beside_the_rest(
+    library: Library,
+    last: State,
+    reviews: Mapping[str, Review],
+    settings: AliasSettings = SETTINGS,
+) -> dict[str, Review]:
+    """Compare accepted effects with others anew, where there are several.
+
+    Parameters
+    ----------
+    library : Library
+        The simulator with every effect.
+    last : State
+        Where the search ended.
+    reviews : mapping of str to Review
+        By the label of each accepted effect.
+    settings : AliasSettings
+        Which responses are compared.
+
+    Returns
+    -------
+    dict of str to Review
+        With `similar`, by simulations of the windows to fit: two for each number of the set, one
+        for each effect, and one for each that is compared.
+    """
+    found = dict(reviews)
+    if len(last.accepted) < 2:
+        return found
+    jacobian: Array | None = None
+    for instance in last.accepted:
+        own = reviews[instance.label]
+        others = _others(last, instance, own, settings)
+        if not others:
+            continue
+        if jacobian is None:
+            jacobian = last.train.flat(library.jacobian(last.theta, last.free, last.train.windows))
+        similar = _similar(library, last, instance, others, jacobian)
+        found[instance.label] = replace(own, similar=similar)
+    return found
+
+
+def _others(
+    last: State, instance: EffectInstance, own: Review, settings: AliasSettings
+) -> list[Candidate]:
+    """What is compared with an effect: what was tried in its place, and what is nearly the same."""
+    found = {trial.candidate.instance.label: trial.fitted_candidate for trial in own.alternatives}
+    screened = [] if own.origin is None else own.origin.screened
+    itself = next((one for one in screened if one.instance.label == instance.label), None)
+    for candidate in screened:
+        if itself is None:
+            break
+        if abs(float(candidate.signature @ itself.signature)) > settings.nearly:
+            found.setdefault(candidate.instance.label, candidate)
+    accepted = {one.label for one in last.accepted}
+    left = [candidate for label, candidate in found.items() if label not in accepted]
+    return left[: settings.most]
+
+
+def _similar(
+    library: Library,
+    last: State,
+    instance: EffectInstance,
+    others: Sequence[Candidate],
+    jacobian: Array,
+) -> dict[str, float]:
+    """By its label, the cosine of each other effect's response with that of one that is accepted.
+
+    jacobian: (f, N) whitened, by all fitted numbers.
+    """
+    places = library.places
+    train = last.train
+    without = last.theta.copy()
+    without[places[instance.label]] = 0.0
+    thetas = [without]
+    for other in others:
+        theta = without.copy()
+        theta[places[other.instance.label]] = other.magnitudes
+        thetas.append(theta)
+    predicted = library.predict(np.array(thetas), train.windows)
+    changes = np.concatenate([(train.predicted - predicted[0])[None], predicted[1:] - predicted[0]])
+    rest = jacobian[~np.isin(last.free, places[instance.label])]
+    basis = np.linalg.qr(rest.T)[0] if len(rest) else None
+    rows = project_out(train.flat(np.nan_to_num(changes)), basis)
+    rows = rows / np.maximum(np.linalg.norm(rows, axis=1), SMALLEST_LENGTH)[:, None]
+    cosines = np.abs(rows[1:] @ rows[0])
+    labels = [other.instance.label for other in others]
+    return dict(zip(labels, cosines.tolist(), strict=True))

@@ -1,0 +1,101 @@
+"""Sets of effects in the place of the one that a search ended with, on a line of masses."""
+
+import numpy as np
+import pytest
+
+from dropo.diagnosis.search.aliases import AliasSettings, beside_the_rest
+from dropo.diagnosis.search.review import ambiguity, review
+from dropo.diagnosis.search.screening import Candidate
+from dropo.diagnosis.search.sets import SetSearch, gram_of
+from dropo.diagnosis.search.trials import Batch
+from tests.models.linear_mass import instances, measured, selection
+
+HIDDEN = {"damping": 0.2, "spring": 0.3}
+
+
+def forced(search, state, *names):
+    """The state with these effects, whether they are the right ones or not."""
+    by_name = {instance.effect: instance for instance in instances()}
+    for name in names:
+        candidate = Candidate(by_name[name], np.array([0.1]), 0.0, np.zeros(1))
+        (trial,) = search.try_candidates(state, [candidate])
+        search.batches.append(Batch(state, [], [trial]))
+        state = search.polish(trial.state)
+    return state
+
+
+def names_of(state):
+    """The effects of a state."""
+    return {instance.effect for instance in state.accepted}
+
+
+@pytest.mark.parametrize(
+    "wrong", [("friction", "bias"), ("friction",), ("friction", "drag", "gain")]
+)
+def test_a_wrong_set_is_exchanged_at_once(wrong):
+    """Two effects that act together, of which the set has none: whatever is there goes, once the
+    review has taken out what became unnecessary.
+    """
+    search, first = selection(measured(HIDDEN))
+    start = forced(search, first, *wrong)
+    found, _ = review(search, SetSearch(search, first, instances()).run(start))
+    assert names_of(found) == set(HIDDEN)
+    sizes = [found.theta[search.library.places[one.label]][0] for one in found.accepted]
+    wanted = [HIDDEN[one.effect] for one in found.accepted]
+    np.testing.assert_allclose(sizes, wanted, rtol=0.05)
+
+
+def test_the_right_set_stays():
+    """Whatever else promises as much is not better when it is refitted; a round says so."""
+    search, first = selection(measured(HIDDEN))
+    start = forced(search, first, *HIDDEN)
+    sets = SetSearch(search, first, instances())
+    assert sets.run(start) is start
+    assert len(sets.seen) <= 1 + sets.settings.refitted
+
+
+def test_nothing_hidden_no_set():
+    """Ten data sets without anything hidden: no pair is accepted."""
+    for seed in range(10):
+        search, first = selection(measured({}, seed=seed))
+        assert SetSearch(search, first, instances()).run(first) is first
+
+
+def test_the_gram_matrix_says_what_a_refit_does():
+    """Of effects in which the motion is linear: both magnitudes and the gain, before any refit."""
+    search, first = selection(measured(HIDDEN))
+    by_name = {instance.effect: instance for instance in instances()}
+    pool = [(by_name[name], np.array([0.1])) for name in HIDDEN]
+    gram = gram_of(search.library, first, pool)
+    both = gram.exchange((), (0, 1))
+    np.testing.assert_allclose(np.concatenate(both.magnitudes), list(HIDDEN.values()), rtol=0.2)
+    one = max(gram.exchange((), (i,)).promise for i in range(2))
+    assert both.promise > one > gram.exchange((), ()).promise
+
+
+def test_aliases_are_computed_beside_the_rest_of_a_set():
+    """Without the part that damping explains, drag is another likeness of friction than alone: as
+    least squares say.
+    """
+    search, first = selection(measured({"damping": 0.2, "friction": 0.1}))
+    last, reviews = review(search, search.run(first, first, instances()))
+    assert names_of(last) == {"damping", "friction"}
+    compared = beside_the_rest(search.library, last, reviews, AliasSettings(nearly=0.0))
+    similar = compared["friction:mass"].similar["drag:mass"]
+    columns = [search.library.places[f"{name}:mass"] for name in ("friction", "drag", "damping")]
+    rows = last.train.flat(
+        search.library.jacobian(last.theta, np.concatenate(columns), last.train.windows)
+    )
+    friction, drag = rows[:2] - np.outer(rows[:2] @ rows[2], rows[2]) / (rows[2] @ rows[2])
+    wanted = abs(friction @ drag) / np.linalg.norm(friction) / np.linalg.norm(drag)
+    np.testing.assert_allclose(similar, wanted, rtol=0.05)
+    assert ambiguity(last, last.accepted[0], compared["damping:mass"]) == []
+
+
+def test_one_cause_alone_has_no_rest():
+    """Nothing is simulated for it."""
+    search, first = selection(measured({"damping": 0.2}))
+    last, reviews = review(search, search.run(first, first, instances()))
+    before = search.library.simulator.steps
+    assert beside_the_rest(search.library, last, reviews) == reviews
+    assert search.library.simulator.steps == before
