@@ -124,7 +124,11 @@ def test_noise_that_is_not_white_is_no_error_of_the_model(tmp_path, noise):
     found = Diagnose(["joint_damping"], windows=48).run(problem)
     blind = Diagnose(["joint_damping"], windows=48, settings=WHITE_ALONE).run(problem)
     assert found.verdict == "consistent"
-    said = "errors of qpos.hinge follow" if noise.get("rho") else "control steps seem to differ"
+    said = (
+        "errors follow each other in qpos.hinge"
+        if noise.get("rho")
+        else "control steps seem to differ"
+    )
     assert said in " ".join(found.warnings)
     assert said not in " ".join(blind.warnings)
     assert blind.verdict != "consistent"  # the control
