@@ -6,6 +6,7 @@ import ast
 import importlib.util
 import re
 import xml.etree.ElementTree as ET
+from functools import cache
 from pathlib import Path
 
 import mujoco
@@ -117,6 +118,7 @@ STEPS = re.compile(r"mj_(step|Euler|RungeKutta|implicit)")
 STEPPING_MODULES = {"mujoco.rollout", "mujoco.batch"}
 
 
+@cache
 def fields_of_models():
     """The names of all arrays of MjModel."""
     model = mujoco.MjModel.from_xml_string("<mujoco/>")
@@ -138,11 +140,17 @@ def is_model(node):
     return last_name(node).lstrip("_") == "model"
 
 
+@cache
+def nodes_of(source):
+    """Everything in a source, which several tests look through."""
+    return list(ast.walk(ast.parse(source)))
+
+
 def reads(source):
     """What of a source reads or writes the numbers of a model, or of its data, by index."""
     fields = fields_of_models()
     found = []
-    for node in ast.walk(ast.parse(source)):
+    for node in nodes_of(source):
         by_name = isinstance(node, ast.Call) and ast.unparse(node.func) in ("getattr", "setattr")
         if by_name and is_model(node.args[0]):
             found.append(f"{node.lineno}: {ast.unparse(node)}")
@@ -158,7 +166,7 @@ def reads(source):
 def calls(source):
     """What of a source calls MuJoCo's functions of a model, or makes its data."""
     found = []
-    for node in ast.walk(ast.parse(source)):
+    for node in nodes_of(source):
         names = []
         if isinstance(node, ast.Call):
             names = [last_name(node)]
@@ -171,7 +179,7 @@ def calls(source):
 def steps(source):
     """What of a source steps a simulation."""
     found = []
-    for node in ast.walk(ast.parse(source)):
+    for node in nodes_of(source):
         if isinstance(node, ast.Attribute) and STEPS.match(node.attr):
             found.append(f"{node.lineno}: {ast.unparse(node)}")
         modules = []

@@ -95,10 +95,17 @@ def run_page(page: Path) -> list[tuple[re.Match[str], str]]:
     return shown
 
 
-@pytest.mark.parametrize("page", WITH_PYTHON, ids=named)
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param(page, marks=pytest.mark.study) if page.stem == "start" else page
+        for page in WITH_PYTHON
+    ],
+    ids=named,
+)
 def test_python_blocks_run(page, tmp_path, monkeypatch):
     """The Python blocks of a page run, in a folder that holds nothing but the files it shows, and
-    print what it says.
+    print what it says; that which begins with a log and ends with a fit, in the studies.
     """
     monkeypatch.chdir(tmp_path)
     for found, printed in run_page(page):

@@ -23,7 +23,7 @@ SOME = ["--effects", "joint_damping", "joint_friction", "actuator_gain"]
 def damped(tmp_path_factory):
     """A problem file whose data have more damping than its model."""
     return write_problem(
-        problem([("joint_damping:elbow", [0.05])], episodes=16), tmp_path_factory.mktemp("damped")
+        problem([("joint_damping:elbow", [0.05])], episodes=10), tmp_path_factory.mktemp("damped")
     )
 
 
@@ -32,7 +32,7 @@ def test_it_prints_and_writes(damped, tmp_path, capsys):
     extended problem that is consistent, and the same with the cause's size to be fitted.
     """
     out = tmp_path / "out"
-    assert main(["diagnose", str(damped), *SOME, "--out", str(out)]) == 0
+    assert main(["diagnose", str(damped), *SOME, "--steps", "5", "--out", str(out)]) == 0
     printed = capsys.readouterr()
     assert "Cause: joint damping at elbow" in printed.out
     assert printed.err == ""
@@ -45,7 +45,7 @@ def test_it_prints_and_writes(damped, tmp_path, capsys):
     assert to_fit.space.names[-1] == "joint_damping:elbow/damping"
     added = damping - to_fit.model.dof_damping[1]
     assert 0 < to_fit.space.low[-1] < added < to_fit.space.high[-1]
-    assert main(["diagnose", str(extended), *SOME, "--json"]) == 0
+    assert main(["diagnose", str(extended), *SOME, "--steps", "5", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["verdict"] == "consistent"
 
 

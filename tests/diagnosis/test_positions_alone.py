@@ -15,9 +15,9 @@ ENCODER = 2 * np.pi / 4096
 SOME = ["joint_damping", "joint_friction", "sensor_delay", "actuator_delay", "actuator_gain"]
 
 
-def positions_alone(hidden, seed=3):
+def positions_alone(hidden, seed=3, episodes=24):
     """The arm's log by encoders of 4096 steps a turn, without velocities."""
-    found = problem(hidden, sigma=1e-5, seed=seed, episodes=24, steps=60)
+    found = problem(hidden, sigma=1e-5, seed=seed, episodes=episodes, steps=60)
     data = found.trajectories
     read = lambda rows: np.round(rows[:, :2] / ENCODER) * ENCODER
     log = replace(
@@ -55,8 +55,8 @@ def test_what_is_hidden_is_found():
     """A damping at its place, within a twentieth; the noise that is reported of a velocity is that
     of its estimate, which windows leave out.
     """
-    found = Diagnose(SOME, windows=60, disturbances=False).run(
-        positions_alone([("joint_damping:elbow", [0.05])])
+    found = Diagnose(SOME, windows=30, disturbances=False).run(
+        positions_alone([("joint_damping:elbow", [0.05])], episodes=12)
     )
     ((effect, target, size),) = [
         (one.effect, one.target, one.estimate["damping"]) for one in found.causes
@@ -71,8 +71,8 @@ def test_an_imu_without_velocities():
     orientation too, which has no gain. The control: starts that are taken to be as far off as the
     arm is fast turn gravity, since an accelerometer shows the square of a velocity.
     """
-    diagnose = Diagnose(["joint_damping", "gravity_tilt"], windows=60, disturbances=False)
-    nothing = imu_arm.problem(2, runs=24, parameters=())
+    diagnose = Diagnose(["joint_damping", "gravity_tilt"], windows=30, disturbances=False)
+    nothing = imu_arm.problem(2, runs=12, parameters=())
     assert diagnose.run(nothing).verdict == "consistent"
     sensors = (*imu_arm.IMU, "imu_quat")
     hidden = imu_arm.problem(2, sensors, runs=12, parameters=(), more_damping=0.04)

@@ -83,17 +83,17 @@ def test_covariance_shrinks_as_the_search_goes_on():
 
 
 def test_restarts_leave_local_minima():
-    """Without restarts few of eight searches end in the global minimum of Rastrigin's function;
-    with them at least three more do. Which ones depends on the processor's rounding.
+    """Without restarts few of six searches end in the global minimum of Rastrigin's function;
+    with them at least two more do. Which ones depends on the processor's rounding.
     """
-    single = [make(seed=seed, restarts=0) for seed in range(8)]
-    restarted = [make(seed=seed, budget=8000) for seed in range(8)]
+    single = [make(seed=seed, restarts=0) for seed in range(6)]
+    restarted = [make(seed=seed, budget=8000) for seed in range(6)]
     single_reasons = [drive(search, Rastrigin())[1] for search in single]
     restarted_reasons = [drive(search, Rastrigin())[1] for search in restarted]
     assert all("." in reason for reason in single_reasons)
     assert any("restart" in (reason or "").lower() for reason in restarted_reasons)
     reached = lambda searches: sum(search.best[1] < 1e-9 for search in searches)
-    assert reached(restarted) >= reached(single) + 3
+    assert reached(restarted) >= reached(single) + 2
 
 
 def test_restarts_double_the_population_and_keep_to_their_number():

@@ -13,7 +13,7 @@ from dropo.problems.simulated.robots import simulated_robot
 
 def test_masses_of_an_arm_are_found():
     """To four standard errors, which are below 0.1 %."""
-    problem = load("torque-arm", threads=1)
+    problem = load("torque-arm", threads=1).using(transitions=400)
     found = fit(problem)
     truth = np.array([problem.truth[name] for name in problem.space.names])
     assert np.all(np.abs(found.mean - truth) < 4 * found.mean_se)

@@ -50,9 +50,15 @@ class Seen(HTMLParser):
         return [attributes for name, attributes in self.tags if name == tag]
 
 
-@pytest.fixture(params=["fit", "diagnosis", "unfinished"])
+@pytest.fixture(
+    params=[
+        pytest.param("fit", marks=pytest.mark.slow),
+        pytest.param("diagnosis", marks=pytest.mark.slow),
+        "unfinished",
+    ]
+)
 def page(request, pages):
-    """The page of each kind of folder."""
+    """The page of each kind of folder; making the folders of the first two is slow."""
     return pages[request.param].read_text()
 
 

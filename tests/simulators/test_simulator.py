@@ -485,7 +485,7 @@ def test_moving_frames_needs_the_source_of_the_model():
         MujocoSimulator(mujoco.MjModel.from_xml_string(BOX), [offset, mass("flap")])
 
 
-@pytest.mark.parametrize("name", ["hopper", "walker2d", "half-cheetah", "torque-arm"])
+@pytest.mark.parametrize("name", ["hopper", "half-cheetah", "torque-arm"])
 def test_a_single_tree_does_not_look_for_islands(name):
     """With islands of constraints looked for, a machine of one tree does the same bit for bit; data
     with contacts.

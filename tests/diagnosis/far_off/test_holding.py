@@ -18,8 +18,7 @@ WITHIN = 4.0
 """Standard errors that the friction may be off by."""
 
 
-@pytest.mark.parametrize("holding", [True, False])
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize(("holding", "seed"), [(True, 0), (False, 1)])
 def test_friction_is_found_as_it_was_recorded(holding, seed):
     """Machines that hold and machines that creep, each with a physics step four times finer."""
     found = FarOffSearch(SETTINGS, silent).run(without_friction(holding, seed))

@@ -139,8 +139,13 @@ def test_first_models_have_no_fault(name, seed):
     assert found(log_of(name, np.random.default_rng(seed))) == []
 
 
-@pytest.mark.parametrize("gain", [0.02, 0.1, 0.5, 2.0, 10.0, 50.0])
-@pytest.mark.parametrize("name", SERVOS)
+@pytest.mark.parametrize(
+    ("name", "gain"),
+    [
+        *((name, gain) for name in SERVOS for gain in (0.02, 50.0)),
+        *((SERVOS[0], gain) for gain in (0.1, 0.5, 2.0, 10.0)),
+    ],
+)
 def test_far_off_gains_are_no_fault(name, gain):
     """The control: servos that are 50 times stronger or weaker than their model, which lacks the
     payload and friction besides.

@@ -57,7 +57,7 @@ def test_a_size_on_its_bound_is_a_warning_of_a_diagnosis(monkeypatch):
             found.append(replace(one, quantities=(quantity,)))
         return found
 
-    diagnose = Diagnose(("joint_damping:elbow",), windows=20, disturbances=False)
+    diagnose = Diagnose(("joint_damping:elbow",), length=5, windows=16, disturbances=False)
     hidden = problem([("joint_damping:elbow", [0.05])])
     assert not any("at its bound" in text for text in diagnose.run(hidden).warnings)
     monkeypatch.setattr(module, "instances_for", narrow)

@@ -104,7 +104,7 @@ def test_delay_of_a_fast_joints_velocity_is_named(monkeypatch):
     delay = 0.006
     late = problem([("sensor_delay:qvel.elbow", [delay])])
     effects = ["sensor_delay", "sensor_gain", "joint_damping", "joint_friction"]
-    run = Diagnose(effects, windows=32).run
+    run = Diagnose(effects, windows=16).run
     found = run(late)
     size = found.causes[0].estimate["delay"]
     assert [(cause.effect, cause.target) for cause in found.causes] == [

@@ -22,8 +22,8 @@ from tests.models.hidden_in_arm import UPPER, problem
 
 COARSE = ScreeningSettings(finalists=4, coarse_stride=2, coarse_windows=4)
 SEARCH = Diagnose(
-    ("joint_damping", "joint_friction", "joint_stiffness", "actuator_gain", "sensor_delay"),
-    length=6,
+    ("joint_damping", "joint_friction", "actuator_gain"),
+    length=5,
     windows=10,
     disturbances=False,
     settings=DiagnosisSettings(selection=SelectionSettings(screening=COARSE)),

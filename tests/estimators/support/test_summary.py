@@ -47,7 +47,11 @@ def test_limits_are_those_of_chance():
     assert stats.chi2.ppf([0.001, 0.999], 80) / 80 == pytest.approx([0.58, 1.56], abs=0.005)
 
 
-@pytest.mark.parametrize("estimator", [LeastSquares(), DROPO()], ids=["least-squares", "dropo"])
+@pytest.mark.parametrize(
+    "estimator",
+    [LeastSquares(), pytest.param(DROPO(), marks=pytest.mark.study)],
+    ids=["least-squares", "dropo"],
+)
 def test_standard_errors_of_means_are_right(estimator):
     """Over 40 data sets of 50 draws (DROPO: 16) the means' z-scores have a mean square of 0.6 to
     1.6.

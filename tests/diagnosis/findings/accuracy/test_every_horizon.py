@@ -193,7 +193,9 @@ def test_an_effect_that_makes_some_horizon_worse_is_not_accepted(monkeypatch):
     on without it, and something remains. The control is the same diagnosis left alone.
     """
     hidden = problem([("joint_damping:elbow", [0.05])])
-    diagnose = Diagnose(("joint_damping:elbow", "sensor_bias"), windows=24, disturbances=False)
+    diagnose = Diagnose(
+        ("joint_damping:elbow", "sensor_bias"), length=5, windows=16, disturbances=False
+    )
     alone = diagnose.run(hidden)
     assert [one.place for one in alone.causes] == ["joint damping at elbow"]
     assert alone.leaders == ()

@@ -135,7 +135,7 @@ def test_commands_that_make_the_simulation_diverge_tell_nothing(lagging, propose
 def test_windows_longer_than_a_period(lagging):
     """Where the data are cut into windows of 80 steps, a motion has ten of them."""
     library, state = lagging
-    train, test = split(problem([(PAIR[0], [0.002])], sigma=SIGMA, steps=240), 80, 24)
+    train, test = split(problem([(PAIR[0], [0.002])], sigma=SIGMA, steps=240), 80, 12)
     search = Selection(library, np.full(4, 1e-9))
     long = search.begin(train, test, state.theta, white(np.full(4, SIGMA)), np.arange(0))
     found = experiment(library, long, *library.instances, np.array([0.002]))

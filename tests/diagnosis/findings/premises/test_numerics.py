@@ -61,7 +61,7 @@ def recorded(finer, integrator, late=0.0):
     )
 
 
-SEARCH = Diagnose(EFFECTS, windows=32, disturbances=False)
+SEARCH = Diagnose(EFFECTS, windows=20, disturbances=False)
 STEPS_SAID = "act like delays, inertia and damping"
 
 

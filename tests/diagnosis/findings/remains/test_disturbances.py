@@ -28,7 +28,7 @@ def smooth():
     )
 
 
-def diagnosed(smooth, data, windows=32, **settings):
+def diagnosed(smooth, data, windows=20, **settings):
     return Diagnose(EFFECTS, length=10, windows=windows, **settings).run(
         Problem("pendulum", smooth[0], data)
     )
