@@ -15,7 +15,13 @@ from dropo.cli.support.output import (
 
 
 def add(commands: Any) -> None:
-    """Add the command to the parser `commands`."""
+    """Add the command to the parser `commands`.
+
+    Parameters
+    ----------
+    commands
+        The subparsers of `dropo`, to which it is added.
+    """
     parser = commands.add_parser(
         "benchmark",
         help="hidden effects to be named, and the score of anyone's answers",

@@ -23,7 +23,13 @@ if TYPE_CHECKING:
 
 
 def add(commands: Any) -> None:
-    """Add the command with its own commands to the parser `commands`."""
+    """Add the command with its own commands to the parser `commands`.
+
+    Parameters
+    ----------
+    commands
+        The subparsers of `dropo`, to which it is added.
+    """
     parser = commands.add_parser(
         "data", help="import, describe and check data", description=__doc__, allow_abbrev=False
     )

@@ -30,7 +30,13 @@ SEARCH = "search.jsonl"
 
 
 def add(commands: Any) -> None:
-    """Add the command to the parser `commands`."""
+    """Add the command to the parser `commands`.
+
+    Parameters
+    ----------
+    commands
+        The subparsers of `dropo`, to which it is added.
+    """
     parser = commands.add_parser(
         "diagnose",
         help="show what the simulation gets wrong",

@@ -18,7 +18,13 @@ BESIDE = "beside the policy"
 
 
 def add(commands: Any) -> None:
-    """Add the command to the parser `commands`."""
+    """Add the command to the parser `commands`.
+
+    Parameters
+    ----------
+    commands
+        The subparsers of `dropo`, to which it is added.
+    """
     parser = commands.add_parser(
         "evaluate", help="play a policy on a target", description=__doc__, allow_abbrev=False
     )

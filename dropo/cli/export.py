@@ -8,7 +8,13 @@ from dropo.cli.support.output import NOTHING, computing_options, printing_option
 
 
 def add(commands: Any) -> None:
-    """Add the command to the parser `commands`."""
+    """Add the command to the parser `commands`.
+
+    Parameters
+    ----------
+    commands
+        The subparsers of `dropo`, to which it is added.
+    """
     parser = commands.add_parser(
         "export",
         help="write a fit or an extended model in the form of another tool",

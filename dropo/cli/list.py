@@ -26,7 +26,13 @@ KINDS = (
 
 
 def add(commands: Any) -> None:
-    """Add the command to the parser `commands`."""
+    """Add the command to the parser `commands`.
+
+    Parameters
+    ----------
+    commands
+        The subparsers of `dropo`, to which it is added.
+    """
     parser = commands.add_parser(
         "list", help="what can be named", description=__doc__, allow_abbrev=False
     )

@@ -31,7 +31,13 @@ PARTS = {
 
 
 def add(commands: Any) -> None:
-    """Add the command to the parser `commands`."""
+    """Add the command to the parser `commands`.
+
+    Parameters
+    ----------
+    commands
+        The subparsers of `dropo`, to which it is added.
+    """
     parser = commands.add_parser(
         "recover", help="run a recovery study", description=__doc__, allow_abbrev=False
     )

@@ -21,7 +21,13 @@ HERE = "127.0.0.1"
 
 
 def add(commands: Any) -> None:
-    """Add the command to the parser `commands`."""
+    """Add the command to the parser `commands`.
+
+    Parameters
+    ----------
+    commands
+        The subparsers of `dropo`, to which it is added.
+    """
     parser = commands.add_parser(
         "report",
         help="make a page of a fit or a diagnosis",

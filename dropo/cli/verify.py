@@ -16,7 +16,13 @@ from dropo.cli.support.output import (
 
 
 def add(commands: Any) -> None:
-    """Add the command to the parser `commands`."""
+    """Add the command to the parser `commands`.
+
+    Parameters
+    ----------
+    commands
+        The subparsers of `dropo`, to which it is added.
+    """
     parser = commands.add_parser(
         "verify",
         help="roll an extended model out in plain MuJoCo",

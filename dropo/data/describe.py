@@ -40,7 +40,13 @@ class Description(Report):
     signals: dict[str, dict[str, Any]]
 
     def to_json(self) -> dict[str, Any]:
-        """Give the same numbers for JSON."""
+        """Give the same numbers for JSON.
+
+        Returns
+        -------
+        dict
+            By the names of its fields.
+        """
         return {
             "transitions": self.transitions,
             "trajectories": len(self.lengths),

@@ -727,7 +727,18 @@ def diagnose(
 
 
 def per_step(state: State) -> float:
-    """Return the log-likelihood of a state's windows held out [nats per transition]."""
+    """Return the log-likelihood of a state's windows held out.
+
+    Parameters
+    ----------
+    state : State
+        Any.
+
+    Returns
+    -------
+    float
+        In nats per transition.
+    """
     return float(state.test.log_likelihood.sum() / state.test.windows.steps)
 
 

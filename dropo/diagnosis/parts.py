@@ -57,7 +57,13 @@ class Estimate:
         return f"{self.value:+.3g} +- {error} {self.unit}".removesuffix(" 1")
 
     def to_json(self) -> dict[str, Any]:
-        """As diagnosis.json has it."""
+        """As diagnosis.json has it.
+
+        Returns
+        -------
+        dict
+            As diagnosis.json has it.
+        """
         return {
             "value": self.value,
             "se": number_or_null(self.se),
@@ -69,7 +75,17 @@ class Estimate:
 
     @classmethod
     def from_json(cls, saved: Mapping[str, Any]) -> Self:
-        """What `to_json` gave."""
+        """Make it again from its entries.
+
+        Parameters
+        ----------
+        saved : mapping
+            What `to_json` gave.
+
+        Returns
+        -------
+        Estimate
+        """
         se = number_or_nan(saved["se"])
         degrees = saved.get("degrees")
         freedom = np.inf if degrees is None else float(degrees)
@@ -107,7 +123,13 @@ class Alternative:
         return effect_in_words(self.effect, self.target, self.variant, self.formula)
 
     def to_json(self) -> dict[str, Any]:
-        """As diagnosis.json has it."""
+        """As diagnosis.json has it.
+
+        Returns
+        -------
+        dict
+            As diagnosis.json has it.
+        """
         found = {
             "effect": self.effect,
             "target": self.target,
@@ -120,7 +142,17 @@ class Alternative:
 
     @classmethod
     def from_json(cls, saved: Mapping[str, Any]) -> Self:
-        """What `to_json` gave."""
+        """Make it again from its entries.
+
+        Parameters
+        ----------
+        saved : mapping
+            What `to_json` gave.
+
+        Returns
+        -------
+        Alternative
+        """
         return cls(
             effect=saved["effect"],
             target=saved["target"],
@@ -157,7 +189,13 @@ class Stability:
         return len(self.windows) + len(self.halves)
 
     def doubt(self) -> str | None:
-        """Where it is not named, in words; None where it is named everywhere."""
+        """Say where the cause is not named.
+
+        Returns
+        -------
+        str or None
+            None where it is named everywhere.
+        """
         lengths = [steps_text(steps) for steps, named in self.windows.items() if not named]
         parts = [f"windows of {', '.join(lengths)}"] if lengths else []
         names = ("first", "second")
@@ -166,7 +204,13 @@ class Stability:
         return " and ".join(parts) or None
 
     def to_json(self) -> dict[str, Any]:
-        """As diagnosis.json has it."""
+        """As diagnosis.json has it.
+
+        Returns
+        -------
+        dict
+            As diagnosis.json has it.
+        """
         return {
             "named": self.named,
             "of": self.of,
@@ -176,7 +220,17 @@ class Stability:
 
     @classmethod
     def from_json(cls, saved: Mapping[str, Any]) -> Self:
-        """What `to_json` gave."""
+        """Make it again from its entries.
+
+        Parameters
+        ----------
+        saved : mapping
+            What `to_json` gave.
+
+        Returns
+        -------
+        Stability
+        """
         windows = {int(steps): named for steps, named in saved["windows"].items()}
         first, second = saved["halves"]
         return cls(windows, (first, second))
@@ -244,7 +298,18 @@ class Cause:
         return ", ".join([place, *(f"{name} {e}" for name, e in self.estimate.items())])
 
     def to_json(self, rank: int) -> dict[str, Any]:
-        """As diagnosis.json has it; rank: its place among the causes, from 1."""
+        """Give plain numbers and texts.
+
+        Parameters
+        ----------
+        rank : int
+            Its place among the causes, from 1.
+
+        Returns
+        -------
+        dict
+            As diagnosis.json has it.
+        """
         law = {"formula": self.formula, "called": self.called} if self.formula else {}
         if self.to_change:
             law = {"to_change": self.to_change}
@@ -267,7 +332,17 @@ class Cause:
 
     @classmethod
     def from_json(cls, saved: Mapping[str, Any]) -> Self:
-        """What `to_json` gave."""
+        """Make it again from its entries.
+
+        Parameters
+        ----------
+        saved : mapping
+            What `to_json` gave.
+
+        Returns
+        -------
+        Cause
+        """
         estimate = {name: Estimate.from_json(found) for name, found in saved["estimate"].items()}
         stability = saved.get("stability")
         return cls(
@@ -316,12 +391,28 @@ class Suspect:
         return self.effect + (f":{self.target}" if self.target else "")
 
     def to_json(self) -> dict[str, Any]:
-        """As diagnosis.json has it."""
+        """As diagnosis.json has it.
+
+        Returns
+        -------
+        dict
+            As diagnosis.json has it.
+        """
         return dict(vars(self))
 
     @classmethod
     def from_json(cls, saved: Mapping[str, Any]) -> Self:
-        """What `to_json` gave."""
+        """Make it again from its entries.
+
+        Parameters
+        ----------
+        saved : mapping
+            What `to_json` gave.
+
+        Returns
+        -------
+        Suspect
+        """
         return cls(**saved)
 
 
@@ -370,7 +461,13 @@ class Leader:
         return f"not confirmed: {place}, {gain}; {record}"
 
     def to_json(self) -> dict[str, Any]:
-        """As diagnosis.json has it."""
+        """As diagnosis.json has it.
+
+        Returns
+        -------
+        dict
+            As diagnosis.json has it.
+        """
         return {
             **vars(self),
             "gain_se": number_or_null(self.gain_se),
@@ -380,7 +477,17 @@ class Leader:
 
     @classmethod
     def from_json(cls, saved: Mapping[str, Any]) -> Self:
-        """What `to_json` gave."""
+        """Make it again from its entries.
+
+        Parameters
+        ----------
+        saved : mapping
+            What `to_json` gave.
+
+        Returns
+        -------
+        Leader
+        """
         return cls(
             effect=saved["effect"],
             target=saved["target"],
@@ -416,7 +523,13 @@ class Remaining:
     forces: Mapping[str, float]
 
     def to_json(self) -> dict[str, Any]:
-        """As diagnosis.json has it."""
+        """As diagnosis.json has it.
+
+        Returns
+        -------
+        dict
+            As diagnosis.json has it.
+        """
         return {
             "calibrated": self.calibrated,
             "p_value": number_or_null(self.p_value),

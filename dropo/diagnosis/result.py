@@ -59,7 +59,13 @@ class HeldOut:
     horizons: tuple[Horizon, ...]
 
     def to_json(self) -> dict[str, Any]:
-        """As diagnosis.json has it."""
+        """As diagnosis.json has it.
+
+        Returns
+        -------
+        dict
+            As diagnosis.json has it.
+        """
         horizons = [horizon.to_json() for horizon in self.horizons]
         return {
             "held_out_log_likelihood": self.log_likelihood,
@@ -195,7 +201,13 @@ class Diagnosis(Report):
         return sets
 
     def headline(self) -> str:
-        """The finding in a few sentences."""
+        """Say what was found.
+
+        Returns
+        -------
+        str
+            A few sentences.
+        """
         if self.faults:
             return " ".join([*(fault.sentences for fault in self.faults), MISWIRED])
         sentences = [self._error_sentence()] if self.baseline.horizons else []
@@ -281,7 +293,13 @@ class Diagnosis(Report):
         return [*tables, Table(title, ("signal", "unit", *names), tuple(sizes))]
 
     def to_pandas(self) -> Any:
-        """A pandas.DataFrame with a row for each quantity of each cause; empty without causes."""
+        """Make a data frame of the causes.
+
+        Returns
+        -------
+        pandas.DataFrame
+            A row for each quantity of each cause; empty without causes.
+        """
         from dropo.core.services.data_frames import frame
 
         rows = [
@@ -303,7 +321,13 @@ class Diagnosis(Report):
         return frame(rows, "effect")
 
     def to_json(self) -> dict[str, Any]:
-        """The content of diagnosis.json."""
+        """The content of diagnosis.json.
+
+        Returns
+        -------
+        dict
+            As diagnosis.json has it.
+        """
         from dropo._version import __version__
 
         return {

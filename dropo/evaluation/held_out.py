@@ -206,7 +206,17 @@ def thin(starts: Ints, count: int) -> Ints:
 
 
 def held_out_starts(part: DataPart, horizon: int, settings: HeldOutSettings = SETTINGS) -> Ints:
-    """Return the first rows (W,) of the windows of `held_out_windows`, whose arguments it takes."""
+    """Return the first rows of the windows of `held_out_windows`.
+
+    Parameters
+    ----------
+    part, horizon, settings
+        As of `held_out_windows`.
+
+    Returns
+    -------
+    (W,) int array
+    """
     return thin(window_starts(part, horizon), settings.count(horizon))
 
 

@@ -121,5 +121,10 @@ def _number(place: str, name: str) -> int:
 
 
 def cores() -> int:
-    """The number of this machine's cores."""
+    """Count this machine's cores.
+
+    Returns
+    -------
+    int
+    """
     return os.cpu_count() or 1

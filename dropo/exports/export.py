@@ -51,7 +51,13 @@ class Exported(Report):
         return [*lines, *self.left_out, *self.approximated]
 
     def to_json(self) -> dict[str, Any]:
-        """As `dropo export --json` prints it."""
+        """As `dropo export --json` prints it.
+
+        Returns
+        -------
+        dict
+            As `dropo export --json` prints it.
+        """
         return {
             "target": self.target,
             "files": [str(path) for path in self.files],

@@ -137,7 +137,13 @@ class Import(Report):
     notes: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
-        """Give the content of import.json."""
+        """Give the content of import.json.
+
+        Returns
+        -------
+        dict
+            As import.json has it.
+        """
         left_out = []
         for span in self.left_out:
             left_out.append(

@@ -94,7 +94,13 @@ class InitResult(Report):
     next: str
 
     def to_json(self) -> dict[str, Any]:
-        """Give all of it as JSON holds it."""
+        """Give all of it as JSON holds it.
+
+        Returns
+        -------
+        dict
+            By the names of its fields.
+        """
         return {
             "folder": str(self.folder),
             "robot": self.robot,

@@ -71,7 +71,17 @@ def posed(model: mujoco.MjModel, qpos: Array | None = None) -> mujoco.MjData:
 
 
 def move(model: mujoco.MjModel, data: mujoco.MjData, qpos: Array) -> None:
-    """Move the `data` of a `model` to joint positions `qpos` (nq,), with the places of all."""
+    """Move data to joint positions, with the places of all elements.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+    data : MjData
+        Changed in place.
+    qpos : (nq,) array
+        Joint positions.
+    """
     data.qpos[:] = qpos
     mujoco.mj_fwdPosition(model, data)
 

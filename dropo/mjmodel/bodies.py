@@ -26,33 +26,107 @@ def moving_bodies(model: mujoco.MjModel) -> list[tuple[int, str]]:
 
 
 def body_masses(model: mujoco.MjModel) -> Array:
-    """Return the masses (nbody,) of all bodies, the world first [kg]."""
+    """Return the masses of all bodies.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+
+    Returns
+    -------
+    (nbody,) array
+        The world first [kg].
+    """
     return np.array(model.body_mass)
 
 
 def moving_mass(model: mujoco.MjModel) -> float:
-    """Return the mass of all bodies that can move [kg]."""
+    """Return the mass of all bodies that can move.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+
+    Returns
+    -------
+    float
+        In kg.
+    """
     masses = body_masses(model)
     return float(sum(masses[body] for body, _ in moving_bodies(model)))
 
 
 def mass_centre(model: mujoco.MjModel, body: int) -> Array:
-    """Return the centre of mass (3,) of a `body`, in its own frame [m]."""
+    """Return the centre of mass of a body.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+    body : int
+        Its number.
+
+    Returns
+    -------
+    (3,) array
+        In the body's own frame [m].
+    """
     return np.array(model.body_ipos[body])
 
 
 def principal_inertia(model: mujoco.MjModel, body: int) -> Array:
-    """Return the principal moments of inertia (3,) of a `body` [kg m^2]."""
+    """Return the principal moments of inertia of a body.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+    body : int
+        Its number.
+
+    Returns
+    -------
+    (3,) array
+        In kg m^2.
+    """
     return np.array(model.body_inertia[body])
 
 
 def body_place(model: mujoco.MjModel, body: int) -> Array:
-    """Return where the frame (3,) of a `body` is in that of its parent, in no motion [m]."""
+    """Return where a body's frame is while nothing moves.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+    body : int
+        Its number.
+
+    Returns
+    -------
+    (3,) array
+        In its parent's frame [m].
+    """
     return np.array(model.body_pos[body])
 
 
 def contact_margin(model: mujoco.MjModel, geom: int) -> float:
-    """Return the distance at which contacts of a `geom` begin [m]."""
+    """Return the distance at which contacts of a geom begin.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+    geom : int
+        Its number.
+
+    Returns
+    -------
+    float
+        In m.
+    """
     return float(model.geom_margin[geom])
 
 
@@ -162,5 +236,15 @@ def write_inertia(model: mujoco.MjModel, body: int, inertia: Array) -> None:
 
 
 def write_mass(model: mujoco.MjModel, body: int, mass: float) -> None:
-    """Write the `mass` [kg] of a `body` into a `model`, which is changed in place."""
+    """Write the mass of a body into a model.
+
+    Parameters
+    ----------
+    model : MjModel
+        Changed in place.
+    body : int
+        Its number.
+    mass : float
+        In kg.
+    """
     model.body_mass[body] = mass

@@ -117,7 +117,13 @@ class Binding:
         self._places = [_BoundParameter(replace(parameter, element=one), model) for one in elements]
 
     def nominal(self) -> float:
-        """The parameter's value in the model that it was bound to; of several places the mean."""
+        """Give the parameter's value in the model that it was bound to.
+
+        Returns
+        -------
+        float
+            Of several places the mean.
+        """
         return float(np.mean([place.nominal() for place in self._places]))
 
     def set(self, model: mujoco.MjModel, value: float) -> None:

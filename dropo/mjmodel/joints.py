@@ -73,7 +73,13 @@ class Joint:
         return units[self.kind]
 
     def quaternion(self) -> slice | None:
-        """The places of its quaternion among its positions; None without one."""
+        """Give the places of its quaternion.
+
+        Returns
+        -------
+        slice or None
+            Among the positions; None without one.
+        """
         return {"free": slice(3, 7), "ball": slice(0, 4)}.get(self.kind)
 
     @property
@@ -368,7 +374,19 @@ def actuators(model: mujoco.MjModel) -> list[Actuator]:
 
 
 def numbers_of(model: mujoco.MjModel, joint: Joint) -> JointNumbers:
-    """Read what a `model` says of a slide or hinge `joint`."""
+    """Read what a model says of a joint.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+    joint : Joint
+        A slide or hinge.
+
+    Returns
+    -------
+    JointNumbers
+    """
     dof = joint.qvel
     return JointNumbers(
         armature=float(model.dof_armature[dof]),
@@ -381,21 +399,65 @@ def numbers_of(model: mujoco.MjModel, joint: Joint) -> JointNumbers:
 
 
 def inertias(model: mujoco.MjModel) -> Array:
-    """Return what moves with each degree of freedom (nv,) in the reference pose [kg or kg m^2]."""
+    """Return what moves with each degree of freedom.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+
+    Returns
+    -------
+    (nv,) array
+        In the reference pose [kg or kg m^2].
+    """
     return np.array(model.dof_M0)
 
 
 def dry_frictions(model: mujoco.MjModel) -> Array:
-    """Return the dry friction (nv,) at each degree of freedom [N or N m]."""
+    """Return the dry friction at each degree of freedom.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+
+    Returns
+    -------
+    (nv,) array
+        In N or N m.
+    """
     return np.array(model.dof_frictionloss)
 
 
 def reference_pose(model: mujoco.MjModel) -> Array:
-    """Return the positions (nq,) in which a `model` begins [m, rad]."""
+    """Return the positions in which a model begins.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+
+    Returns
+    -------
+    (nq,) array
+        In m and rad.
+    """
     return np.array(model.qpos0)
 
 
 def command_limits(model: mujoco.MjModel) -> Array:
-    """Return the lower and upper limits (2, nu) of commands, infinite where there are none."""
+    """Return the limits of commands.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+
+    Returns
+    -------
+    (2, nu) array
+        Lower and upper, infinite where there are none.
+    """
     limited = np.asarray(model.actuator_ctrllimited, dtype=bool)
     return np.where(limited, model.actuator_ctrlrange.T, np.array([[-np.inf], [np.inf]]))

@@ -10,13 +10,37 @@ from dropo.mjmodel.fields import OPTION
 
 
 def array_of(model: mujoco.MjModel, key: str) -> Any:
-    """Read a field of a `model` by its name `key`, an entry of mjOption with "opt." before it."""
+    """Read a field of a model by its name.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+    key : str
+        A field; an entry of mjOption with "opt." before it.
+
+    Returns
+    -------
+    array or number
+    """
     owner = model.opt if key.startswith(OPTION) else model
     return np.asarray(getattr(owner, key.removeprefix(OPTION)))
 
 
 def set_number(model: mujoco.MjModel, field: str, place: tuple[int, ...], number: float) -> None:
-    """Set a number of a model, or of its options where the field begins with opt."""
+    """Set a number of a model or of its options.
+
+    Parameters
+    ----------
+    model : MjModel
+        Changed in place.
+    field : str
+        Its name; an entry of mjOption with "opt." before it.
+    place : tuple of int
+        Where in the array.
+    number : float
+        What is written.
+    """
     owner = model.opt if field.startswith("opt.") else model
     name = field.removeprefix("opt.")
     if isinstance(getattr(owner, name), np.ndarray):
@@ -26,7 +50,13 @@ def set_number(model: mujoco.MjModel, field: str, place: tuple[int, ...], number
 
 
 def derive_constants(model: mujoco.MjModel) -> None:
-    """Compute anew the constants that MuJoCo derives from the numbers of a `model`."""
+    """Compute anew the constants that MuJoCo derives from a model's numbers.
+
+    Parameters
+    ----------
+    model : MjModel
+        Changed in place.
+    """
     mujoco.mj_setConst(model, mujoco.MjData(model))
 
 

@@ -93,7 +93,22 @@ class RobotSimulator(Simulator):
 
     @abstractmethod
     def commands_of(self, actions: Array) -> Array:
-        """Make commands (..., nu) of actions (..., q); actuators without one get 0."""
+        """Make commands of actions; actuators without one get 0.
+
+        Parameters
+        ----------
+        actions : (..., q) array
+            In the order of the action columns.
+
+        Returns
+        -------
+        (..., nu) array
+
+        Raises
+        ------
+        BadArgument
+            If there are more or fewer columns.
+        """
 
     @abstractmethod
     def recorded_past(self, segments: Segments, block: Ints) -> RecordedPast:
@@ -113,7 +128,13 @@ class RobotSimulator(Simulator):
 
     @abstractmethod
     def without_parameters(self) -> "RobotSimulator":
-        """Make the same simulator without declared parameters, at the model's own numbers."""
+        """Make the same simulator without declared parameters, at the model's own numbers.
+
+        Returns
+        -------
+        RobotSimulator
+            A new one, whose counts of steps and failures begin at 0.
+        """
 
     @abstractmethod
     def with_finer_steps(self, times: int) -> "RobotSimulator":
@@ -127,7 +148,7 @@ class RobotSimulator(Simulator):
         Returns
         -------
         RobotSimulator
-            With its own parameters and effects.
+            A new one, whose counts of steps and failures begin at 0.
         """
 
     @abstractmethod
@@ -137,17 +158,23 @@ class RobotSimulator(Simulator):
         Parameters
         ----------
         name : str
-            Its name in MJCF, such as "implicitfast".
+            As in MJCF: "Euler", "RK4", "implicit" or "implicitfast".
 
         Returns
         -------
         RobotSimulator
-            With its own parameters and effects.
+            A new one, whose counts of steps and failures begin at 0.
         """
 
     @abstractmethod
     def with_holding_friction(self) -> "RobotSimulator":
-        """Make the same simulator with dry friction that holds what rests (`hold_friction`)."""
+        """Make the same simulator with dry friction that holds what rests (`hold_friction`).
+
+        Returns
+        -------
+        RobotSimulator
+            A new one, whose counts of steps and failures begin at 0.
+        """
 
     @abstractmethod
     def with_fitted(self, effects: Sequence[EffectInstance]) -> "RobotSimulator":
@@ -156,12 +183,13 @@ class RobotSimulator(Simulator):
         Parameters
         ----------
         effects : sequence of EffectInstance
-            They are found among the fixed ones by their labels.
+            They take the place of the fixed effects of their labels; their magnitudes are
+            parameters.
 
         Returns
         -------
         RobotSimulator
-            Their magnitudes are parameters of it.
+            A new one, whose counts of steps and failures begin at 0.
         """
 
     @abstractmethod
@@ -181,4 +209,9 @@ class RobotSimulator(Simulator):
         -------
         RobotSimulator
             A new one, whose counts of steps and failures begin at 0.
+
+        Raises
+        ------
+        Incompatible
+            If an effect needs bodies to be compiled anew, and the model was given compiled.
         """

@@ -144,7 +144,17 @@ def _copy_numbers(to: Any, of: Any) -> None:
 
 
 def lost_shapes(model: mujoco.MjModel) -> NDArray[np.int64]:
-    """List the geoms (g,) of a model whose meshes or height fields were dropped."""
+    """List the geoms whose meshes or height fields were dropped.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+
+    Returns
+    -------
+    (g,) array of int
+    """
     lost = np.zeros(model.ngeom, dtype=bool)
     for kind, count in (("MESH", model.mesh_vertnum), ("HFIELD", model.hfield_nrow)):
         of_kind = model.geom_type == int(getattr(mujoco.mjtGeom, f"mjGEOM_{kind}"))

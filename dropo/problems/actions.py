@@ -70,7 +70,13 @@ class ActionEstimate(Report):
     replays: tuple[ActionReplay, ...]
 
     def to_json(self) -> dict[str, Any]:
-        """Give the numbers of the tables for JSON."""
+        """Give the numbers of the tables for JSON.
+
+        Returns
+        -------
+        dict
+            The numbers of the tables.
+        """
         unexplained = {}
         for name, (unit, rms, largest) in self.unexplained.items():
             unexplained[name] = {"unit": unit, "rms": rms, "largest": largest}

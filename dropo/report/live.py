@@ -55,7 +55,12 @@ class LivePage:
         self._keep(self.tag(), text)
 
     def tag(self) -> str:
-        """Return a text that changes with the folder's files."""
+        """Return a text that changes with the folder's files.
+
+        Returns
+        -------
+        str
+        """
         seen = []
         for path in sorted(self.folder.iterdir()):
             try:
@@ -67,7 +72,13 @@ class LivePage:
         return sha256(repr(seen).encode()).hexdigest()[:16]
 
     def text(self) -> str:
-        """Return the page; the last one that could be made while files are being written."""
+        """Return the page.
+
+        Returns
+        -------
+        str
+            The last one that could be made, while files are being written.
+        """
         with self._lock:
             tag = self.tag()
             if tag != self._tag:

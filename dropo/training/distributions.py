@@ -64,7 +64,20 @@ class Point:
         object.__setattr__(self, "mean", mean)
 
     def sample(self, draws: int, rng: Generator) -> Array:
-        """Return copies of the mean (K, d), K = `draws`."""
+        """Draw parameter vectors.
+
+        Parameters
+        ----------
+        draws : int
+            How many, K.
+        rng : numpy.random.Generator
+            Draws them.
+
+        Returns
+        -------
+        (K, d) array
+            Copies of the mean.
+        """
         return np.tile(self.mean, (draws, 1))
 
 
@@ -111,7 +124,20 @@ class Uniform:
         return self.bounds.mean(axis=0)
 
     def sample(self, draws: int, rng: Generator) -> Array:
-        """Return independent draws (K, d), K = `draws`."""
+        """Draw parameter vectors.
+
+        Parameters
+        ----------
+        draws : int
+            How many, K.
+        rng : numpy.random.Generator
+            Draws them.
+
+        Returns
+        -------
+        (K, d) array
+            Independent draws.
+        """
         low, high = self.bounds
         return low + rng.random((draws, len(self.space))) * (high - low)
 
@@ -139,7 +165,20 @@ class Predictive:
         return self.fit.mean
 
     def sample(self, draws: int, rng: Generator) -> Array:
-        """Return independent draws (K, d), K = `draws`, all physically possible."""
+        """Draw parameter vectors.
+
+        Parameters
+        ----------
+        draws : int
+            How many, K.
+        rng : numpy.random.Generator
+            Draws them.
+
+        Returns
+        -------
+        (K, d) array
+            Independent draws, all physically possible.
+        """
         values = self.fit.sample(draws, rng)
         errors = np.nan_to_num(self.fit.mean_se)
         return self.space.feasible(values + errors * rng.standard_normal(values.shape))
@@ -201,7 +240,20 @@ class Curriculum:
         return self.distribution.mean
 
     def sample(self, draws: int, rng: Generator) -> Array:
-        """Return independent draws (K, d) at the full width, K = `draws`."""
+        """Draw parameter vectors.
+
+        Parameters
+        ----------
+        draws : int
+            How many, K.
+        rng : numpy.random.Generator
+            Draws them.
+
+        Returns
+        -------
+        (K, d) array
+            Independent draws at the full width.
+        """
         return self.distribution.sample(draws, rng)
 
     def fraction(self, done: int) -> float:

@@ -60,7 +60,13 @@ class Returns(Report):
         return Compared({self.target: self}).parts()
 
     def to_json(self) -> dict[str, Any]:
-        """Return all results as JSON."""
+        """Return all results as JSON.
+
+        Returns
+        -------
+        dict
+            All results.
+        """
         error = self.standard_error
         return {
             "target": self.target,

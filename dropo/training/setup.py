@@ -76,7 +76,13 @@ class TrainingSetup:
         )
 
     def env(self) -> Any:
-        """Make one environment of Gymnasium's kind (gymnasium.Env)."""
+        """Make an environment of Gymnasium's kind.
+
+        Returns
+        -------
+        gymnasium.Env
+            One environment.
+        """
         return randomize(
             self.target, self.distribution, noise=self.noise, effects=self.effects, steps=self.steps
         )

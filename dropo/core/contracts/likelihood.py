@@ -168,11 +168,33 @@ class LogLikelihood(ABC):
         """
 
     def moments(self, phi: Array) -> tuple[Array, Array] | None:
-        """Mean (R, p) and covariance (R, p, p) of the rows at phi (m,); None of another law."""
+        """Give the moments of the rows, where they are normal.
+
+        Parameters
+        ----------
+        phi : (m,) array
+            The unknowns.
+
+        Returns
+        -------
+        tuple or None
+            Mean (R, p) and covariance (R, p, p) of the rows; None of another distribution.
+        """
         return None
 
     def whitened_residuals(self, phi: Array) -> Array | None:
-        """Residuals (R, p) in units of the covariance at phi (m,); None of another law."""
+        """Give the residuals without their covariance, where the rows are normal.
+
+        Parameters
+        ----------
+        phi : (m,) array
+            The unknowns.
+
+        Returns
+        -------
+        (R, p) array or None
+            In units of the rows' covariance; None of another distribution.
+        """
         return None
 
 

@@ -172,7 +172,13 @@ class NoiseModel:
         return shape * own if self.unknowns else shape
 
     def slopes(self) -> Array:
-        """Derivatives (n, p) of the variances by the n learned factors."""
+        """Give the derivatives of the variances.
+
+        Returns
+        -------
+        (n, p) array
+            By each of the n learned factors.
+        """
         n = len(self.unknowns)
         if n == len(self.shape):
             return np.diag(self.shape)

@@ -133,9 +133,13 @@ class Draws:
         return times
 
     def effective_sample_size(self) -> Array:
-        """Number (d,) of independent draws that give the mean as well.
+        """Count the independent draws that give the mean as well.
 
         It is S W / autocorrelation time.
+
+        Returns
+        -------
+        (d,) array
         """
         return np.asarray(self.log_density.size / self.autocorrelation_time(minimum=0))
 
@@ -162,7 +166,13 @@ class Draws:
         return np.array(worst)
 
     def summary(self) -> str:
-        """Make a table of mean, standard deviation, quantiles and diagnostics by parameter."""
+        """Make a table with a row for each parameter.
+
+        Returns
+        -------
+        str
+            Mean, standard deviation, quantiles and diagnostics.
+        """
         flat = self.flat()
         times = self.autocorrelation_time(minimum=0)
         ess = self.effective_sample_size()

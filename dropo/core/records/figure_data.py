@@ -210,7 +210,13 @@ class FigureData:
     laws: tuple[LawCurve, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
-        """Give plain numbers of seven digits."""
+        """Give plain numbers of seven digits.
+
+        Returns
+        -------
+        dict
+            Numbers of seven digits.
+        """
         found = _rounded(asdict(self))
         assert isinstance(found, dict)
         return found

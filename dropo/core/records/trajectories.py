@@ -378,7 +378,13 @@ class Segments:
         return self.trajectories.trajectory[self.steps[:, 0]]
 
     def comparing_every_step(self) -> "Segments":
-        """Make the same segments with every step compared."""
+        """Make the same segments with every step compared.
+
+        Returns
+        -------
+        Segments
+            Of the same starts and actions.
+        """
         return self if self.every_step else replace(self, every_step=True)
 
     def thin(self, count: int) -> Ints:

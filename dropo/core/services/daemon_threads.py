@@ -43,7 +43,13 @@ class DaemonThreads(Executor):
         self._threads: list[threading.Thread] = []
 
     def submit(self, call: Callable[..., Any], /, *args: Any, **options: Any) -> Future[Any]:
-        """Make a call in a thread."""
+        """Make a call in a thread.
+
+        Returns
+        -------
+        Future
+            Of what the call returns.
+        """
         answer: Future[Any] = Future()
         self._calls.put((answer, partial(call, *args, **options)))
         if len(self._threads) < self._max_workers:
@@ -56,6 +62,13 @@ class DaemonThreads(Executor):
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """End the threads behind the calls that are left; with `cancel_futures`, these are not
         made.
+
+        Parameters
+        ----------
+        wait : bool
+            Whether to wait for the calls that are left.
+        cancel_futures : bool
+            Whether these are not made.
         """
         while cancel_futures:
             try:

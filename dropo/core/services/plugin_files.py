@@ -73,12 +73,23 @@ def is_loaded(path: str | Path) -> bool:
 
 
 def loaded_files() -> list[Path]:
-    """The plug-in files of this process."""
+    """The plug-in files of this process.
+
+    Returns
+    -------
+    list of Path
+        In the order in which they were run.
+    """
     return list(_loaded)
 
 
 def plugin_sums() -> dict[str, str]:
-    """SHA-256 sums of the plug-in files of this process by name, for the records of runs."""
+    """SHA-256 sums of the plug-in files of this process by name, for the records of runs.
+
+    Returns
+    -------
+    dict of str to str
+    """
     return dict(_sums)
 
 

@@ -227,7 +227,13 @@ def register(kind: str, name: str, plugin: Callable[..., Any]) -> None:
 
 
 def registered() -> dict[tuple[str, str], Any]:
-    """Give what `register` made available, by kind and name."""
+    """Give what `register` made available, by kind and name.
+
+    Returns
+    -------
+    dict
+        The plug-ins, by kind and name.
+    """
     parts = {}
     for kind, plugins in _registered.items():
         for name, plugin in plugins.items():
@@ -236,7 +242,12 @@ def registered() -> dict[tuple[str, str], Any]:
 
 
 def kinds() -> list[str]:
-    """List what can be named: methods, likelihoods, families, ..."""
+    """List what can be named: methods, likelihoods, families, ...
+
+    Returns
+    -------
+    list of str
+    """
     return sorted(BUILT_IN)
 
 

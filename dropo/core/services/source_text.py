@@ -43,7 +43,13 @@ class SourceText:
         self._names: dict[tuple[str, str], str] = {}
 
     def text(self) -> str:
-        """Imports, then constants, classes and functions, each behind what it needs."""
+        """Give the whole text.
+
+        Returns
+        -------
+        str
+            Imports, then constants, classes and functions, each behind what it needs.
+        """
         return "\n\n\n".join(["\n".join(sorted(self.imports)), *self._blocks])
 
     def expression(self, value: Any) -> str:

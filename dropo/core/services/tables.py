@@ -37,7 +37,13 @@ class Table:
         return f"{self.title}\n{text}" if self.title else text
 
     def to_latex(self) -> str:
-        """Write a LaTeX tabular with booktabs' rules, and the title as its caption."""
+        """Write a LaTeX tabular.
+
+        Returns
+        -------
+        str
+            With booktabs' rules, the title as its caption.
+        """
         columns = "l" + "r" * (len(self.header) - 1)
         lines = [_latex_row(self.header), r"\midrule", *map(_latex_row, self.rows)]
         body = "\n".join([r"\toprule", *lines, r"\bottomrule"])
@@ -46,7 +52,13 @@ class Table:
         return f"\\begin{{table}}\n{caption}{tabular}\n\\end{{table}}\n"
 
     def to_markdown(self) -> str:
-        """Write a Markdown table, the title above it."""
+        """Write a Markdown table.
+
+        Returns
+        -------
+        str
+            The title stands above it.
+        """
         rule = "|".join(["---", *["---:"] * (len(self.header) - 1)])
         lines = [_markdown_row(self.header), f"|{rule}|", *map(_markdown_row, self.rows)]
         table = "\n".join(lines) + "\n"
@@ -111,7 +123,12 @@ class Report(ABC):
 
     @abstractmethod
     def parts(self) -> list[str | Table]:
-        """Give the sentences and tables in the order in which they are read."""
+        """Give the sentences and tables in the order in which they are read.
+
+        Returns
+        -------
+        list of str or Table
+        """
 
     def __str__(self) -> str:
         return "\n".join(map(str, self.parts()))
@@ -120,7 +137,13 @@ class Report(ABC):
         return str(self)
 
     def to_latex(self) -> str:
-        """Write all tables in LaTeX, with booktabs' rules; sentences are left out."""
+        """Write all tables in LaTeX.
+
+        Returns
+        -------
+        str
+            With booktabs' rules; sentences are left out.
+        """
         return "\n".join(part.to_latex() for part in self.parts() if isinstance(part, Table))
 
     def _repr_html_(self) -> str:

@@ -132,7 +132,13 @@ class Span:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """Plain numbers: the run, and from where to where in it [s]."""
+        """Give plain numbers.
+
+        Returns
+        -------
+        dict
+            The run, and from where to where in it [s].
+        """
         return {
             "run": self.trajectory,
             "held_out": self.held_out,
@@ -180,7 +186,13 @@ class Disturbances:
         return inside
 
     def left_out(self) -> Trajectories:
-        """Return the trajectories without the spans; a trajectory is cut in two at each."""
+        """Return the trajectories without the spans.
+
+        Returns
+        -------
+        Trajectories
+            A trajectory is cut in two at each span.
+        """
         return self.trajectories.rows(np.flatnonzero(~self.inside))
 
     def __str__(self) -> str:

@@ -95,7 +95,13 @@ class InputChoice(Report):
         return f"The data do not tell {self.names[0]!r} from {self.names[1]!r}."
 
     def to_json(self) -> dict[str, Any]:
-        """Plain numbers."""
+        """Plain numbers.
+
+        Returns
+        -------
+        dict
+            Plain numbers and texts, by key.
+        """
         found = asdict(self)
         del found["settings"]
         return {**found, "sure": self.sure}

@@ -135,7 +135,13 @@ class FarOffModel:
         return holds(robot_of(self.problem).model)
 
     def with_holding_friction(self) -> "FarOffModel":
-        """The model with dry friction that holds what rests."""
+        """Make the model with dry friction that holds what rests.
+
+        Returns
+        -------
+        FarOffModel
+            The same numbers, in such a simulator.
+        """
         simulator = robot_of(self.problem).with_holding_friction()
         return replace(self, problem=replace(self.problem, simulator=simulator))
 

@@ -340,7 +340,17 @@ def standard_errors(
 
 
 def covariance_of(library: Library, last: State, close: float = REFIT.close) -> Array:
-    """Return the covariance (f, f) of the fitted numbers; arguments as of `standard_errors`."""
+    """Return the covariance of the fitted numbers.
+
+    Parameters
+    ----------
+    library, last, close
+        As of `standard_errors`.
+
+    Returns
+    -------
+    (f, f) array
+    """
     covariance, _ = _sandwich(library, last, 1.0)
     if np.any(np.sqrt(np.diagonal(covariance)) < close * library.steps[last.free]):
         covariance, _ = _sandwich(library, last, close)

@@ -46,7 +46,13 @@ class RunDifference:
         return f"{self.effect}{place}{'.' if self.variant else ''}{self.variant}"
 
     def to_json(self) -> dict[str, Any]:
-        """Plain numbers."""
+        """Plain numbers.
+
+        Returns
+        -------
+        dict
+            Plain numbers and texts, by key.
+        """
         return {
             "effect": self.effect,
             "target": self.target,
@@ -85,7 +91,13 @@ class ComparedRun:
     numbers: tuple[float, ...]
 
     def to_json(self) -> dict[str, Any]:
-        """Plain numbers."""
+        """Plain numbers.
+
+        Returns
+        -------
+        dict
+            Plain numbers and texts, by key.
+        """
         return {
             "run": self.name,
             "reference": self.is_reference,
@@ -128,7 +140,13 @@ class RunComparison(Report):
     simulator_steps: int
 
     def headline(self) -> str:
-        """How many runs differ."""
+        """Say how many runs differ.
+
+        Returns
+        -------
+        str
+            In a sentence.
+        """
         others = [run for run in self.runs if not run.is_reference]
         normal = [run for run in self.runs if run.is_reference]
         text = f"{sum(run.differs for run in others)} of {len(others)} runs differ from the"
@@ -166,7 +184,13 @@ class RunComparison(Report):
         return lines
 
     def to_json(self) -> dict[str, Any]:
-        """The content of runs.json."""
+        """The content of runs.json.
+
+        Returns
+        -------
+        dict
+            As runs.json has it.
+        """
         from dropo._version import __version__
 
         return {

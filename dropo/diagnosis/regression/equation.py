@@ -376,7 +376,18 @@ class UniformLog:
         self.commands = [self.given(commands) for commands in self.logged]
 
     def given(self, commands: Array) -> Array:
-        """What the model makes of commands (n, nu): within their ranges, with its own effects."""
+        """Return what the model makes of commands.
+
+        Parameters
+        ----------
+        commands : (n, nu) array
+            As logged.
+
+        Returns
+        -------
+        (n, nu) array
+            Within their ranges, with the model's own effects on commands.
+        """
         simulator, model = self._simulator, self._simulator.model
         fixed = [
             (instance, magnitudes)

@@ -268,7 +268,17 @@ class Readings:
         return len(self._fits)
 
     def is_servo(self, dof: int) -> bool:
-        """Whether a degree of freedom has a drive that pulls back whatever its command."""
+        """Say whether a drive pulls it back whatever the drive's command.
+
+        Parameters
+        ----------
+        dof : int
+            A degree of freedom.
+
+        Returns
+        -------
+        bool
+        """
         return bool(np.any(self._motion(self.plain).bias[:, dof]))
 
     def command_factor(self, reading: Reading, dof: int) -> float | None:

@@ -88,7 +88,17 @@ class WiringFault:
 
     @classmethod
     def from_json(cls, saved: Mapping[str, Any]) -> Self:
-        """What `dataclasses.asdict` gave."""
+        """Make it again from its entries.
+
+        Parameters
+        ----------
+        saved : mapping
+            What `dataclasses.asdict` gave.
+
+        Returns
+        -------
+        WiringFault
+        """
         evidence = saved.get("evidence")
         return cls(
             kind=saved["kind"],
@@ -204,7 +214,13 @@ class QuickDiagnosis(Report):
         return False
 
     def headline(self) -> str:
-        """The finding in a few sentences."""
+        """Say what was found.
+
+        Returns
+        -------
+        str
+            A few sentences.
+        """
         if self.faults:
             return " ".join(fault.sentences for fault in self.faults)
         count = len(self.causes)
@@ -260,7 +276,13 @@ class QuickDiagnosis(Report):
         return Table("RMS forces on held-out data", header, tuple(rows))
 
     def to_json(self) -> dict[str, Any]:
-        """The content of diagnosis.json."""
+        """The content of diagnosis.json.
+
+        Returns
+        -------
+        dict
+            As diagnosis.json has it.
+        """
         from dropo._version import __version__
 
         return {

@@ -38,7 +38,18 @@ class Arithmetic:
     integrator: str | None = None
 
     def of(self, simulator: RobotSimulator) -> RobotSimulator:
-        """Return a simulator that is stepped so; its count of steps begins at 0."""
+        """Return a simulator that is stepped so.
+
+        Parameters
+        ----------
+        simulator : RobotSimulator
+            Any.
+
+        Returns
+        -------
+        RobotSimulator
+            Its count of steps begins at 0.
+        """
         changed = simulator.with_finer_steps(self.finer)
         return changed if self.integrator is None else changed.with_integrator(self.integrator)
 

@@ -104,7 +104,18 @@ class SelectionSettings:
     refit: RefitSettings = REFIT
 
     def needed_gain(self, effects: int) -> float:
-        """Return the held-out gain [nats] that confirms one of so many effects."""
+        """Return the gain that confirms one of so many effects.
+
+        Parameters
+        ----------
+        effects : int
+            How many are looked for.
+
+        Returns
+        -------
+        float
+            On the windows held out [nats].
+        """
         return float(np.log(max(effects, 1) / self.false_alarm))
 
 

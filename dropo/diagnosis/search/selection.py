@@ -417,7 +417,17 @@ class Selection:
         return most_plausible_first(trials, self.settings)
 
     def only_by_feedback(self, state: State) -> bool:
-        """Whether its last effect is there only because commands respond to random forces."""
+        """Whether its last effect is there only because commands respond to random forces.
+
+        Parameters
+        ----------
+        state : State
+            A model with effects.
+
+        Returns
+        -------
+        bool
+        """
         sides = (state.train, state.test)
         return absent_in_single_steps(self.library, sides, state.accepted[-1], self.floor)
 

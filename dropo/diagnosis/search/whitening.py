@@ -105,13 +105,34 @@ class WindowNoise:
 
 
 def noise_of(numbers: Array) -> WindowNoise:
-    """Read noise from its `numbers` (2 p + 1,)."""
+    """Read noise from its numbers.
+
+    Parameters
+    ----------
+    numbers : (2 p + 1,) array
+        As `WindowNoise.numbers` gives them.
+
+    Returns
+    -------
+    WindowNoise
+    """
     p = len(numbers) // 2
     return WindowNoise(numbers[:p], numbers[p : 2 * p], float(numbers[-1]))
 
 
 def white(sigma: Array) -> WindowNoise:
-    """Return noise of the standard deviations (p,) that is white in every signal."""
+    """Return noise without memory.
+
+    Parameters
+    ----------
+    sigma : (p,) array
+        Standard deviations, in the signals' units.
+
+    Returns
+    -------
+    WindowNoise
+        White in every signal.
+    """
     return WindowNoise(sigma, np.zeros(len(sigma)))
 
 
@@ -176,7 +197,18 @@ class Whitener:
         return np.asarray(np.sqrt((self.carried**2).sum(axis=2) + own.ravel()), dtype=float)
 
     def covariance(self, places: Ints) -> Array:
-        """Return the covariance (W, k, k) of some of a window's residuals, by their places (k,)."""
+        """Return the covariance of some residuals.
+
+        Parameters
+        ----------
+        places : (k,) int array
+            Which of a window's residuals.
+
+        Returns
+        -------
+        (W, k, k) array
+            Of every window.
+        """
         step, signal = np.divmod(places, len(self.sigma))
         same = signal[:, None] == signal
         rho = self.noise.rho[signal]
@@ -214,7 +246,17 @@ class Whitener:
         return _windows_last(mean, scaled.shape[:-1])
 
     def latent(self, residuals: Array) -> Array:
-        """Expect the latent numbers z (W, m) given residuals (W, n)."""
+        """Return the expected latent numbers, given residuals.
+
+        Parameters
+        ----------
+        residuals : (W, n) array
+            Of every window.
+
+        Returns
+        -------
+        (W, m) array
+        """
         return self._latent(self._differences(residuals) / self.rows) * self.scale
 
     def _explained(self, z: Array) -> Array:
@@ -238,13 +280,33 @@ class Whitener:
         return self.given(residuals).whitened
 
     def given(self, residuals: Array) -> "Given":
-        """Return what residuals (..., W, n) say of the latent numbers and of the noise."""
+        """Return what residuals say of the latent numbers and of the noise.
+
+        Parameters
+        ----------
+        residuals : (..., W, n) array
+            Of every window.
+
+        Returns
+        -------
+        Given
+        """
         scaled = self._differences(residuals) / self.rows
         z = self._latent(scaled)
         return Given(self, residuals, scaled - self._explained(z), z)
 
     def distances(self, residuals: Array) -> Array:
-        """Return the squared Mahalanobis lengths (..., W) of residuals (..., W, n)."""
+        """Return the squared Mahalanobis lengths of residuals.
+
+        Parameters
+        ----------
+        residuals : (..., W, n) array
+            Of every window.
+
+        Returns
+        -------
+        (..., W) array
+        """
         return self.given(residuals).distances
 
     def log_likelihood(self, residuals: Array) -> Array:
@@ -263,7 +325,18 @@ class Whitener:
         return self.given(residuals).log_likelihood
 
     def weights(self, residuals: Array) -> Array:
-        """Return the weights (..., W) of residuals (..., W, n): (nu + n) / (nu + d^2)."""
+        """Return the weights of residuals under a Student t.
+
+        Parameters
+        ----------
+        residuals : (..., W, n) array
+            Of every window.
+
+        Returns
+        -------
+        (..., W) array
+            (nu + n) / (nu + d^2), with d their Mahalanobis length.
+        """
         return self.given(residuals).weights
 
 

@@ -68,7 +68,17 @@ class Windows:
         return len(self.block)
 
     def take(self, index: Ints) -> "Windows":
-        """Return some of the windows, by index."""
+        """Return some of the windows.
+
+        Parameters
+        ----------
+        index : int array
+            Which.
+
+        Returns
+        -------
+        Windows
+        """
         segments = self.segments.take(index)
         measured = self.measured[index]
         return Windows(segments, measured, self.block[index], self.length, self.start_sd)
@@ -188,7 +198,20 @@ def windows_from(simulator: Simulator, segments: Segments, block: Ints) -> Windo
 
 
 def spread_of(simulator: Simulator, windows: Windows) -> Array:
-    """Return the spread (p,) of each signal measured in the windows, as `signal_spread` has it."""
+    """Return the spread of each signal in the windows.
+
+    Parameters
+    ----------
+    simulator : Simulator
+        Of p signals.
+    windows : Windows
+        What was measured.
+
+    Returns
+    -------
+    (p,) array
+        In the signals' units, as `signal_spread` has it.
+    """
     return signal_spread(simulator, windows.measured.reshape(len(windows) * windows.length, -1))
 
 

@@ -85,7 +85,14 @@ class MomentJacobian:
         return MomentJacobian(mean, by_mean, a, b, by_spread)
 
     def whole(self) -> tuple[Array, Array]:
-        """Return d mean (m, r, p) and d Sigma (m, r, p, p), if a and b are equal."""
+        """Return the derivatives of mean and covariance.
+
+        Returns
+        -------
+        of_mean : (m, r, p) array
+        of_covariance : (m, r, p, p) array
+            Where a and b are equal.
+        """
         mean = np.einsum("rpk,ik->irp", self.mean, self.by_mean)
         weighted = self.a * self.by_spread[:, None, None]
         return mean, weighted @ self.a.swapaxes(1, 2)

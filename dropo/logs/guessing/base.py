@@ -71,7 +71,12 @@ class BaseColumns:
     gyro: tuple[ColumnName, ...] = ()
 
     def all(self) -> tuple[ColumnName, ...]:
-        """All of them."""
+        """List all columns.
+
+        Returns
+        -------
+        tuple of str
+        """
         return (*self.position, *self.quaternion, *self.gyro)
 
 

@@ -75,7 +75,13 @@ class Log(ABC):
         self.path = Path(path)
 
     def topics(self) -> dict[str, str]:
-        """List its topics, each with the type of its messages; none where the log is one table."""
+        """List the topics of a log.
+
+        Returns
+        -------
+        dict of str to str
+            By name, the type of its messages; empty where the log is one table.
+        """
         return {}
 
     def stamps(self, topic: str | None) -> str | None:

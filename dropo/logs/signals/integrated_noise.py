@@ -80,7 +80,13 @@ class IntegratedNoise:
         return steps[:, None] ** (self.order - 0.5 - np.arange(self.order))
 
     def steps(self) -> tuple[Array, Array]:
-        """(n - 1, m, m) each: A(h) and Q(h) of every step, at q = 1."""
+        """Give the matrices of every step.
+
+        Returns
+        -------
+        transition, noise : (n - 1, m, m) array
+            A(h) and Q(h) at q = 1.
+        """
         a, q = transition(self.order)
         rows = self.scale[:, :, None]
         columns = self.scale[:, None, :]

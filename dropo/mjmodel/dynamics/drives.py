@@ -75,7 +75,20 @@ def servo_of(model: mujoco.MjModel, actuator: int) -> Servo | None:
 
 
 def command_kind(model: mujoco.MjModel, actuator: int) -> str:
-    """Tell what the `actuator` of that number takes: "position", "velocity" or "torque"."""
+    """Tell what an actuator's command is.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+    actuator : int
+        Its number.
+
+    Returns
+    -------
+    str
+        "position", "velocity" or "torque".
+    """
     if servo_of(model, actuator) is not None:
         return "position"
     bias = model.actuator_biasprm[actuator]

@@ -202,13 +202,34 @@ def torque_scale(model: mujoco.MjModel, joint: Joint) -> float:
 
 
 def force_per_command(model: mujoco.MjModel, actuator: int) -> float:
-    """Return the size of the force of the `actuator` of that number for a command of 1 [N, N m]."""
+    """Return the size of an actuator's force for a command of 1.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+    actuator : int
+        Its number.
+
+    Returns
+    -------
+    float
+        In N or N m.
+    """
     gear = float(model.actuator_gear[actuator, 0])
     return abs(float(model.actuator_gainprm[actuator, 0]) * gear)
 
 
 def add_contact_forces(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Compute the forces between bodies in the state of `data`, which MuJoCo's steps leave out."""
+    """Compute the forces between bodies, which MuJoCo's steps leave out.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+    data : MjData
+        In some state; changed in place.
+    """
     mujoco.mj_rnePostConstraint(model, data)
 
 

@@ -46,5 +46,16 @@ def holds(model: mujoco.MjModel) -> bool:
 
 
 def impedance(model: mujoco.MjModel) -> float:
-    """Return the first impedance (`solimpfriction`) of the dry friction of a `model`'s joints."""
+    """Return the impedance of the dry friction of a model's joints.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+
+    Returns
+    -------
+    float
+        The first number of `solimpfriction`.
+    """
     return float(model.dof_solimp[0, 0])

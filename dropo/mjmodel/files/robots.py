@@ -60,7 +60,13 @@ class DriveGuess:
     damping: float = 0.0
 
     def describe(self) -> str:
-        """Say what it is, with its gains."""
+        """Say what it is.
+
+        Returns
+        -------
+        str
+            With its gains.
+        """
         if self.kind == "position":
             return f"position servo with kp {self.stiffness:g}, kv {self.damping:g}"
         if self.kind == "velocity":

@@ -110,7 +110,13 @@ class Verification(Report):
         return [table, f"The errors are {said}: at most {self.difference:.2%} off."]
 
     def to_json(self) -> dict[str, Any]:
-        """As `dropo verify --json` prints it."""
+        """As `dropo verify --json` prints it.
+
+        Returns
+        -------
+        dict
+            As `dropo verify --json` prints it.
+        """
         errors = [
             {
                 "steps": one.steps,

@@ -98,5 +98,11 @@ def _set_inertial(body: mujoco.MjsBody, geom: mujoco.MjsGeom, radius: float, len
 
 
 def hopper_model() -> mujoco.MjModel:
-    """The compiled model of `hopper_spec` (nq = nv = 6, nu = 3)."""
+    """Compile the model of `hopper_spec`.
+
+    Returns
+    -------
+    MjModel
+        nq = nv = 6, nu = 3.
+    """
     return hopper_spec().compile()

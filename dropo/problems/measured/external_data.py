@@ -16,7 +16,13 @@ ROOT = Path(__file__).resolve().parents[3]
 
 
 def data_folders() -> list[Path]:
-    """The folders in which external data are searched for, in order."""
+    """List the folders in which external data are searched for.
+
+    Returns
+    -------
+    list of Path
+        In the order in which they are searched.
+    """
     named = os.environ.get("DROPO_DATA")
     folders = [Path(named)] if named else []
     folders.append(Path("../shared/data").resolve())

@@ -53,7 +53,13 @@ GOAL = 0.24  # [m] ahead
 
 
 def pushing_spec() -> mujoco.MjSpec:
-    """A Panda in primitives with a pin for a hand, a box and a table: `pushing.xml`."""
+    """A Panda in primitives with a pin for a hand, a box and a table: `pushing.xml`.
+
+    Returns
+    -------
+    MjSpec
+        Of `pushing.xml`.
+    """
     with as_file(files("dropo.problems.panda") / "pushing.xml") as path:
         return mujoco.MjSpec.from_file(str(path))
 
@@ -100,9 +106,14 @@ def _centre_of_mass(name: str, index: int) -> FieldParameter:
 
 @cache
 def target_model() -> mujoco.MjModel:
-    """The target: a light box with bolts at one side, and an arm with other gains.
+    """Compile the model of the target.
 
     The bolts move the box' centre of mass by 3 cm.
+
+    Returns
+    -------
+    MjModel
+        A light box with bolts at one side, and an arm with other gains.
     """
     spec = pushing_spec()
     spec.geom("box").mass = SHELL

@@ -60,7 +60,13 @@ PUCK = slice(7, 9)  # the puck's place among the signals
 
 
 def sliding_spec() -> mujoco.MjSpec:
-    """An LWR4+ in primitives with a stick, a puck, and a board: `sliding.xml`."""
+    """An LWR4+ in primitives with a stick, a puck, and a board: `sliding.xml`.
+
+    Returns
+    -------
+    MjSpec
+        Of `sliding.xml`.
+    """
     with as_file(files("dropo.problems.panda") / "sliding.xml") as path:
         return mujoco.MjSpec.from_file(str(path))
 

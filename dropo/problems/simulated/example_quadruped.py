@@ -170,7 +170,13 @@ class WalkLog:
     imu: Array | None = None
 
     def as_csv(self) -> str:
-        """The log as text, without the velocities."""
+        """Write the log as text.
+
+        Returns
+        -------
+        str
+            Without the velocities.
+        """
         base = [f"trunk_{part}" for part in ("x", "y", "z", "qw", "qx", "qy", "qz")]
         shown = self.pose
         if self.imu is not None:

@@ -129,12 +129,24 @@ class Robot:
         self._steps += 1
 
     def state(self) -> Array:
-        """Time, positions, velocities and the states of actuators: (1 + nq + nv + na,)."""
+        """Give the present state.
+
+        Returns
+        -------
+        (1 + nq + nv + na,) array
+            Time, positions, velocities and the states of actuators.
+        """
         data = self.data
         return np.concatenate([[data.time], data.qpos, data.qvel, data.act])
 
     def sensors(self) -> Array:
-        """Sensor data (m,) of the present state."""
+        """Give what sensors show in the present state.
+
+        Returns
+        -------
+        (m,) array
+            The model's sensordata.
+        """
         mujoco.mj_forward(self.model, self.data)
         return self.data.sensordata.copy()
 

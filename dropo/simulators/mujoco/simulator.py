@@ -159,25 +159,6 @@ class MujocoSimulator(RobotSimulator):
     def with_effects(
         self, effects: Sequence[EffectInstance] = (), fixed: ActiveEffects = ()
     ) -> "MujocoSimulator":
-        """Make the same simulator with more effects beside those it has.
-
-        Parameters
-        ----------
-        effects : sequence of EffectInstance
-            Free effects, whose magnitudes are parameters behind those there are.
-        fixed : sequence of (EffectInstance, (q,) array)
-            Fixed effects, with their magnitudes.
-
-        Returns
-        -------
-        MujocoSimulator
-            A new one, whose counts of steps and failures begin at 0.
-
-        Raises
-        ------
-        Incompatible
-            If an effect needs bodies to be compiled anew, and the model was given compiled.
-        """
         added = (*effects, *(instance for instance, _ in fixed))
         if any(instance.general for instance in added):
             self.general  # noqa: B018 - compiled here, once for all that are made of this one
@@ -188,19 +169,6 @@ class MujocoSimulator(RobotSimulator):
         return out
 
     def with_fitted(self, effects: Sequence[EffectInstance]) -> "MujocoSimulator":
-        """Make the same simulator with some of its fixed effects as free ones.
-
-        Parameters
-        ----------
-        effects : sequence of EffectInstance
-            They take the place of the fixed effects of their labels; their magnitudes are
-            parameters.
-
-        Returns
-        -------
-        MujocoSimulator
-            A new one, whose counts of steps and failures begin at 0.
-        """
         labels = {instance.label for instance in effects}
         out = self.with_effects(effects)
         kept = tuple(pair for pair in self.fixed if pair[0].label not in labels)
@@ -208,45 +176,14 @@ class MujocoSimulator(RobotSimulator):
         return out
 
     def with_finer_steps(self, times: int) -> "MujocoSimulator":
-        """Make the same simulator with shorter physics steps.
-
-        Parameters
-        ----------
-        times : int
-            Steps in the place of one.
-
-        Returns
-        -------
-        MujocoSimulator
-            A new one, whose counts of steps and failures begin at 0; its control step is the same.
-        """
         finer = self._with_model(partial(_shorten_step, times))
         finer.frame_skip = finer.steps_per_action = times * self.frame_skip
         return finer
 
     def with_integrator(self, name: str) -> "MujocoSimulator":
-        """Make the same simulator with another integrator.
-
-        Parameters
-        ----------
-        name : str
-            As in MJCF: "Euler", "RK4", "implicit" or "implicitfast".
-
-        Returns
-        -------
-        MujocoSimulator
-            A new one, whose counts of steps and failures begin at 0.
-        """
         return self._with_model(partial(_integrate_by, name))
 
     def without_parameters(self) -> "MujocoSimulator":
-        """Make the same simulator without declared parameters, at the model's own numbers.
-
-        Returns
-        -------
-        MujocoSimulator
-            A new one, whose counts of steps and failures begin at 0.
-        """
         out = copy.copy(self)
         out.steps = 0
         out.failures = 0
@@ -256,13 +193,6 @@ class MujocoSimulator(RobotSimulator):
         return out
 
     def with_holding_friction(self) -> "MujocoSimulator":
-        """Make the same simulator with dry friction that holds what rests (`hold_friction`).
-
-        Returns
-        -------
-        MujocoSimulator
-            A new one, whose counts of steps and failures begin at 0.
-        """
         return self._with_model(hold_friction)
 
     def with_held_joints(self, values: Mapping[int, float]) -> "MujocoSimulator | None":
@@ -284,7 +214,18 @@ class MujocoSimulator(RobotSimulator):
         return self._with_model(partial(hold_joints, values))
 
     def with_joints_of(self, other: "MujocoSimulator") -> "MujocoSimulator":
-        """Make the same simulator with joints that are as free as another's of the same robot."""
+        """Make the same simulator with joints that are as free as another's.
+
+        Parameters
+        ----------
+        other : MujocoSimulator
+            Of the same robot.
+
+        Returns
+        -------
+        MujocoSimulator
+            A new one, whose counts of steps and failures begin at 0.
+        """
         return self._with_model(partial(free_joints, other.model))
 
     def _with_model(self, change: Callable[[mujoco.MjModel], None]) -> "MujocoSimulator":
@@ -369,19 +310,6 @@ class MujocoSimulator(RobotSimulator):
         return specification(self._source)
 
     def model_of(self, values: Array, active: ActiveEffects = ()) -> mujoco.MjModel:
-        """Make a copy of the model with parameters and effects written into it.
-
-        Parameters
-        ----------
-        values : (d,) array
-            The declared parameters; what follows them is left out.
-        active : sequence of (EffectInstance, (q,) array)
-            Effects with their magnitudes, of which those count that change numbers of the model.
-
-        Returns
-        -------
-        MjModel
-        """
         general = any(instance.general for instance, _ in active)
         worker = Worker(self.whole_general if general else self.model, self.bindings)
         numbers = [pair for pair in active if pair[0].model is not None]
@@ -503,7 +431,6 @@ class MujocoSimulator(RobotSimulator):
 
     @property
     def effect_context(self) -> EffectContext:
-        """The robot for which effects are offered."""
         return EffectContext(
             self.model,
             tuple((signal.name, signal.unit) for signal in self.signals),
@@ -591,22 +518,6 @@ class MujocoSimulator(RobotSimulator):
         )
 
     def commands_of(self, actions: Array) -> Array:
-        """Make commands (..., nu) of actions (..., q); actuators without one get 0.
-
-        Parameters
-        ----------
-        actions : (..., q) array
-            In the order of the action columns.
-
-        Returns
-        -------
-        (..., nu) array
-
-        Raises
-        ------
-        BadArgument
-            If there are more or fewer columns.
-        """
         require(
             actions.shape[-1] == len(self.controls),
             "segments",
@@ -662,19 +573,6 @@ class MujocoSimulator(RobotSimulator):
         return np.concatenate([found[i] for i in part.tolist()])
 
     def recorded_past(self, segments: Segments, block: Ints) -> RecordedPast:
-        """Give what was recorded before some segments begin.
-
-        Parameters
-        ----------
-        segments : Segments
-            N segments.
-        block : (n,) array of int
-            Which of them.
-
-        Returns
-        -------
-        RecordedPast
-        """
         if segments not in self._pasts:
             data = segments.trajectories
             first, last = np.array(data.spans).T

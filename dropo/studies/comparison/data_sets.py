@@ -28,7 +28,13 @@ TABLES = {
 
 
 def problem_names() -> list[str]:
-    """Names that `data_set` takes: the built-in problems, and the thesis' tables."""
+    """List the names that `data_set` takes.
+
+    Returns
+    -------
+    list of str
+        The built-in problems, and the thesis' tables.
+    """
     return sorted({*names("problems"), *TABLES})
 
 

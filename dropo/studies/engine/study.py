@@ -58,7 +58,13 @@ class Study(Report):
         return parts
 
     def to_json(self) -> dict[str, Any]:
-        """The study as JSON: name, version, settings, title, remarks and data."""
+        """Give the study as JSON holds it.
+
+        Returns
+        -------
+        dict
+            Name, version, settings, title, remarks and data.
+        """
         from dropo._version import __version__
 
         return {

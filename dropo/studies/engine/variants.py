@@ -87,7 +87,13 @@ class Variant:
         return self.method, self.settings.get("likelihood", usual)
 
     def to_json(self) -> dict[str, Any]:
-        """The variant as the item of a task holds it; `Variant(**item)` reads it."""
+        """Give the variant as the item of a task holds it.
+
+        Returns
+        -------
+        dict
+            `Variant(**item)` reads it.
+        """
         return {"method": self.method, "settings": dict(self.settings)}
 
 

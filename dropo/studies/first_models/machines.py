@@ -111,7 +111,13 @@ class MissingNumbers:
     delay: float = 0.006
 
     def numbers(self) -> Numbers:
-        """What is missing, by effect, place and quantity."""
+        """Give what is missing.
+
+        Returns
+        -------
+        dict
+            By effect, place and quantity.
+        """
         found: Numbers = {}
         for i in range(len(self.armature)):
             joint = f"joint{i}"

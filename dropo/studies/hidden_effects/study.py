@@ -224,7 +224,17 @@ def _false(runs: Sequence[dict[str, Any]]) -> str:
 
 
 def states_falsely(result: dict[str, Any]) -> bool:
-    """Say whether a run, as `run` returns it, states a cause that is none."""
+    """Say whether a run states a cause that is none.
+
+    Parameters
+    ----------
+    result : dict
+        Of a run, as `run` returns it.
+
+    Returns
+    -------
+    bool
+    """
     return bool(result["extra"]) and are_stated(result["verdict"])
 
 

@@ -119,7 +119,12 @@ def problem_of(item: Item, threads: int = 1) -> tuple[Problem, Array]:
 
 
 def at_hand() -> bool:
-    """Whether the authors' data are found, or can be fetched."""
+    """Say whether the authors' data are found, or can be fetched.
+
+    Returns
+    -------
+    bool
+    """
     try:
         return all(len(published(which)) > 0 for which in ("clean", "noisy-1e-5"))
     except (BadFile, OSError):

@@ -160,7 +160,13 @@ def _extended(light: Problem) -> dict[str, Any]:
 
 
 def whole() -> Problem:
-    """The target: the hopper with its true masses; its data are a single transition."""
+    """Make the target: the hopper with its true masses.
+
+    Returns
+    -------
+    Problem
+        Its data are a single transition.
+    """
     data, _ = simulate(1, 1, rng=0)
     return hopper_problem("hopper", data, 1e-8, threads=1)
 

@@ -21,7 +21,13 @@ Objective = Callable[[Array], Any]
 
 @runtime_checkable
 class Differentiable(Protocol):
-    """A function to maximize that may know its gradient, as a `LogLikelihood` does."""
+    """A function to maximize that may know its gradient, as a `LogLikelihood` does.
+
+    Attributes
+    ----------
+    has_gradients : bool
+        Whether `gradient` may be called.
+    """
 
     has_gradients: bool
 
@@ -29,7 +35,17 @@ class Differentiable(Protocol):
         """The value at a point (m,)."""
 
     def gradient(self, phi: Array) -> Array:
-        """The gradient (m,) at a point (m,)."""
+        """Give the gradient at a point.
+
+        Parameters
+        ----------
+        phi : (m,) array
+            Where.
+
+        Returns
+        -------
+        (m,) array
+        """
 
 
 @dataclass(frozen=True)

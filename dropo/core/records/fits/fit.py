@@ -447,9 +447,14 @@ class Fit(Report):
         return frame(rows, "parameter")
 
     def to_pandas(self) -> Any:
-        """A pandas.DataFrame with a row for each parameter.
+        """Make a data frame of the parameters.
 
         Its columns are mean, errors, scale, sd, their 95 % intervals, unit and search interval.
+
+        Returns
+        -------
+        pandas.DataFrame
+            A row for each parameter.
         """
         from dropo.core.services.data_frames import frame
 
@@ -476,7 +481,13 @@ class Fit(Report):
         return frame(rows, "parameter")
 
     def to_json(self) -> dict[str, Any]:
-        """The content of fit.json; numbers that do not exist are null."""
+        """Give the content of fit.json.
+
+        Returns
+        -------
+        dict
+            Numbers that do not exist are None.
+        """
         from dropo.core.records.fits.fit_files import content_of
 
         return content_of(self)

@@ -87,7 +87,13 @@ class HorizonTrial:
 
 @dataclass(frozen=True)
 class HorizonChoice(FitPart):
-    """The horizons that were tried, of which one was chosen by its held-out predictions."""
+    """The horizons that were tried, of which one was chosen by its held-out predictions.
+
+    Attributes
+    ----------
+    trials : tuple of HorizonTrial
+        One for each horizon, of which one is chosen.
+    """
 
     trials: tuple[HorizonTrial, ...]
     keys = ("lambda_choice",)
@@ -161,7 +167,13 @@ class ExcludedSpan:
     times: float
 
     def to_json(self) -> dict[str, Any]:
-        """The span as fit.json has it."""
+        """The span as fit.json has it.
+
+        Returns
+        -------
+        dict
+            As fit.json has it.
+        """
         return {
             "run": self.run,
             "held_out": self.held_out,

@@ -27,10 +27,22 @@ class FitPart(ABC):
 
     @abstractmethod
     def to_json(self) -> dict[str, Any]:
-        """The part's entries of fit.json, by key; numbers that do not exist are null."""
+        """Give the part's entries of fit.json.
+
+        Returns
+        -------
+        dict
+            By key; numbers that do not exist are None.
+        """
 
     def to_arrays(self) -> dict[str, Array]:
-        """The part's arrays of fit.npz, by name."""
+        """Give the part's arrays of fit.npz.
+
+        Returns
+        -------
+        dict of str to array
+            By name.
+        """
         return {}
 
     @classmethod
@@ -350,7 +362,13 @@ class VarianceComponentTests:
     parameters: Mapping[str, VarianceTest]
 
     def to_json(self) -> dict[str, Any]:
-        """The tests as plain numbers."""
+        """The tests as plain numbers.
+
+        Returns
+        -------
+        dict
+            Plain numbers, by key.
+        """
         parameters = {name: dict(vars(test)) for name, test in self.parameters.items()}
         return {**vars(self.overall), "parameters": parameters}
 

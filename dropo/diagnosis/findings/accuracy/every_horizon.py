@@ -176,7 +176,18 @@ def beyond_noise(
 
 
 def in_words(found: Sequence[Beyond]) -> str:
-    """Write where errors are beyond noise: "errors after 20 and 100 steps, up to 3 times ..."."""
+    """Write where errors are beyond noise.
+
+    Parameters
+    ----------
+    found : sequence of Beyond
+        What is beyond the noise.
+
+    Returns
+    -------
+    str
+        Such as "errors after 20 and 100 steps, up to 3 times ...".
+    """
     steps = [str(one.steps) for one in found]
     *but_last, last = steps
     after = f"{', '.join(but_last)} and {last} steps" if but_last else steps_text(found[0].steps)

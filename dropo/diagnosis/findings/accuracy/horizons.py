@@ -88,7 +88,13 @@ class Horizon:
     lost: float
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain numbers; None of an error where the simulation diverges."""
+        """Return plain numbers.
+
+        Returns
+        -------
+        dict
+            None of an error where the simulation diverges.
+        """
         units = {
             unit: {"rmse": _or_none(off), "noise": noise}
             for unit, (off, noise) in self.units.items()

@@ -89,7 +89,18 @@ class WholeRunReplay:
     settings: ReplaySettings = SETTINGS
 
     def overall(self, unit: str) -> tuple[float, float]:
-        """Root mean square errors over all runs and all signals of a unit, before and after."""
+        """Compute root mean square errors over all runs and all signals of a unit.
+
+        Parameters
+        ----------
+        unit : str
+            One of `units`.
+
+        Returns
+        -------
+        before, after : float
+            In that unit.
+        """
         own = np.array(self.units) == unit
         weights = np.array(self.seconds)
         before = overall_error(self.before[:, own], weights)
@@ -97,7 +108,13 @@ class WholeRunReplay:
         return before, after
 
     def odd(self) -> list[OddReplay]:
-        """List runs in which a signal is off by far more than in most."""
+        """List runs in which a signal is off by far more than in most.
+
+        Returns
+        -------
+        list of OddReplay
+            None where runs are too few to have a usual error.
+        """
         if len(self.after) < self.settings.fewest_runs:
             return []
         usual = np.median(self.after, axis=0)
@@ -114,7 +131,18 @@ class WholeRunReplay:
         ]
 
     def usual(self, unit: str) -> float:
-        """The root mean square error with what was found, each signal without its odd runs."""
+        """Compute the error with what was found, each signal without its odd runs.
+
+        Parameters
+        ----------
+        unit : str
+            One of `units`.
+
+        Returns
+        -------
+        float
+            In that unit.
+        """
         weights = np.repeat(np.array(self.seconds)[:, None], len(self.signals), axis=1)
         for one in self.odd():
             weights[one.run, self.signals.index(one.signal)] = 0.0
@@ -122,7 +150,13 @@ class WholeRunReplay:
         return overall_error(self.after[:, own], weights[:, own])
 
     def table(self) -> Table:
-        """A row for each signal."""
+        """Make a table of the errors.
+
+        Returns
+        -------
+        Table
+            A row for each signal, then one for each unit.
+        """
         weights = np.array(self.seconds)
         rows = []
         for i, (signal, unit) in enumerate(zip(self.signals, self.units, strict=True)):
@@ -137,7 +171,13 @@ class WholeRunReplay:
         return Table(title, ("signal", "unit", "as it came", "with what was found"), tuple(rows))
 
     def to_json(self) -> dict[str, Any]:
-        """As diagnosis.json has it."""
+        """As diagnosis.json has it.
+
+        Returns
+        -------
+        dict
+            As diagnosis.json has it.
+        """
         runs = []
         for i, seconds in enumerate(self.seconds):
             nominal = dict(zip(self.signals, self.before[i].tolist(), strict=True))

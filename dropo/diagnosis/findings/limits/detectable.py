@@ -88,12 +88,28 @@ class Detectable:
         return f"{place} {number(self.size, 2)}"
 
     def to_json(self) -> dict[str, Any]:
-        """As diagnosis.json has it."""
+        """As diagnosis.json has it.
+
+        Returns
+        -------
+        dict
+            As diagnosis.json has it.
+        """
         return dict(vars(self))
 
     @classmethod
     def from_json(cls, saved: dict[str, Any]) -> Self:
-        """What `to_json` gave."""
+        """Make it again from its entries.
+
+        Parameters
+        ----------
+        saved : mapping
+            What `to_json` gave.
+
+        Returns
+        -------
+        Detectable
+        """
         return cls(**saved)
 
 

@@ -42,7 +42,17 @@ class Held:
         return tuple(_sentence(joint, value) for joint, value in self.still)
 
     def at(self, instance: EffectInstance) -> bool:
-        """Whether an effect acts at such a joint or its drive."""
+        """Say whether an effect acts at such a joint or its drive.
+
+        Parameters
+        ----------
+        instance : EffectInstance
+            Any effect.
+
+        Returns
+        -------
+        bool
+        """
         names = {joint.name for joint, _ in self.still}
         model = self.problem.simulator.model
         drives = actuators(model)

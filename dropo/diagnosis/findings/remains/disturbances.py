@@ -46,7 +46,13 @@ class LeftOut:
         )
 
     def lines(self) -> list[str]:
-        """Each span, and the errors with all of them, a line each."""
+        """Say what was left out, a line each.
+
+        Returns
+        -------
+        list of str
+            Each span, and the errors with all of them.
+        """
         spans = [f"  left out: {span}" for span in self.spans]
         if len(self.inside) < 2:
             return spans
@@ -60,7 +66,13 @@ class LeftOut:
         return [*spans, f"  with them, the errors after {steps} steps are {'; '.join(errors)}"]
 
     def to_json(self) -> dict[str, Any]:
-        """Plain numbers."""
+        """Plain numbers.
+
+        Returns
+        -------
+        dict
+            Plain numbers and texts, by key.
+        """
         models = ("nominal", "baseline", "extended")
         errors = {}
         for name, horizon in zip(models, self.inside, strict=False):

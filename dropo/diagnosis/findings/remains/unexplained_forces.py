@@ -84,7 +84,18 @@ def without_impulses(instances: Sequence[EffectInstance]) -> list[EffectInstance
 
 
 def impulses_of(library: Library) -> list[EffectInstance]:
-    """Return the impulses of a library, those of the first piece first."""
+    """Return the impulses of a library.
+
+    Parameters
+    ----------
+    library : Library
+        With impulses among its effects.
+
+    Returns
+    -------
+    list of EffectInstance
+        Those of the first piece first.
+    """
     return [instance for instance in library.instances if instance.effect == EFFECT]
 
 

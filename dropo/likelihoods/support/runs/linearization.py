@@ -99,7 +99,12 @@ class LinearizedInstants:
     of_window: Array
 
     def unlinked(self) -> "LinearizedInstants":
-        """Make the same residuals as functions of one start a window, the parameters known."""
+        """Make the same residuals as functions of one start a window, the parameters known.
+
+        Returns
+        -------
+        LinearizedInstants
+        """
         matrix = np.concatenate([self.of_window, self.matrix[:, :, -1:]], axis=2)
         return replace(self, piece=self.window, matrix=matrix)
 
