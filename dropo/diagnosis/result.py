@@ -17,11 +17,10 @@ from dropo.diagnosis.findings.accuracy.horizons import OF_MOTION, Horizon
 from dropo.diagnosis.findings.accuracy.replay import WholeRunReplay
 from dropo.diagnosis.findings.limits.detectable import Detectable, detectable_table
 from dropo.diagnosis.findings.remains.disturbances import LeftOut
+from dropo.diagnosis.findings.to_type import typed_lines
 from dropo.diagnosis.parts import Cause, Leader, Remaining, Suspect, are_stated
 from dropo.diagnosis.regression.result import WiringFault, fault_table
 
-TYPED = 24
-"""Lines to type into the model that are printed."""
 SELDOM = 0.005
 """Fraction of errors below which it is not said that motion is lost."""
 
@@ -387,7 +386,7 @@ class Diagnosis(Report):
         lines: list[str | Table] = [self._error_sentence()] if self.baseline.horizons else []
         lines += [self._cause_sentence(cause) for cause in self.causes]
         lines.append(" ".join(self._verdict_sentences()))
-        lines += self._typed()
+        lines += typed_lines(self.to_type)
         if self.baseline.horizons:
             lines += self._error_tables()
         if self.detectable:
@@ -399,16 +398,6 @@ class Diagnosis(Report):
             lines += self.disturbances.lines()
         lines += [f"  {text}" for text in self._evidence()]
         return [*lines, *self._warnings()]
-
-    def _typed(self) -> list[str]:
-        """What to type into the model, a line each, if there is anything."""
-        if not self.to_type:
-            return []
-        lines = ["Type into the model:", *(f"  {line}" for line in self.to_type[:TYPED])]
-        rest = len(self.to_type) - TYPED
-        return (
-            [*lines, f"  ... and {rest} lines more, in extended/model.xml"] if rest > 0 else lines
-        )
 
     def _evidence(self) -> list[str]:
         """What is to be said beside the causes, a line each."""

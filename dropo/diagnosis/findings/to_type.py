@@ -1,6 +1,6 @@
 """What to type into the model's MJCF so that it has what was found."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -11,6 +11,9 @@ from dropo.diagnosis.parts import effect_in_words
 from dropo.mjmodel.files.changes import changed_elements
 from dropo.simulators.mujoco.model_xml import format_model, is_in_model
 from dropo.simulators.mujoco.simulator import MujocoSimulator
+
+SHOWN = 24
+"""Lines to type that are printed."""
 
 
 def to_type(came: Problem, found: Problem, declared: Mapping[str, float]) -> tuple[str, ...]:
@@ -54,3 +57,25 @@ def to_type(came: Problem, found: Problem, declared: Mapping[str, float]) -> tup
         place = effect_in_words(instance.effect, instance.target, instance.variant)
         typed.append(f"no element of MJCF: {place}, {', '.join(shown)}")
     return tuple(typed)
+
+
+def typed_lines(lines: Sequence[str]) -> list[str]:
+    """Print what to type.
+
+    Parameters
+    ----------
+    lines : sequence of str
+        Of `to_type`.
+
+    Returns
+    -------
+    list of str
+        The first of them under a heading; none where there is nothing to type.
+    """
+    if not lines:
+        return []
+    shown = ["Type into the model:", *(f"  {line}" for line in lines[:SHOWN])]
+    rest = len(lines) - SHOWN
+    if rest > 0:
+        shown.append(f"  ... and {rest} lines more, in extended/model.xml")
+    return shown

@@ -19,6 +19,7 @@ from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import BadArgument
 from dropo.core.services.validation import Array, require
 from dropo.diagnosis.findings.premises.still import still_sentences
+from dropo.diagnosis.findings.to_type import to_type
 from dropo.diagnosis.parts import Alternative, Cause, Estimate
 from dropo.diagnosis.regression.choice import BlockTables, ChoiceSettings, Chooser
 from dropo.diagnosis.regression.equation import Equation, EquationSettings, equation_of
@@ -148,13 +149,15 @@ class QuickDiagnose:
                 "too little is held out for smoothing: the forces are those of the fitted data."
             )
         forces = self._forces(problem, equation, estimate, bool(causes))
+        extended = _extended(problem, estimate) if causes else problem
         return QuickDiagnosis(
             name=problem.name,
             verdict=self._verdict(causes, forces, bool(faults)),
             causes=tuple(causes),
             faults=faults,
             forces=forces,
-            problem=_extended(problem, estimate) if causes else problem,
+            problem=extended,
+            to_type=to_type(problem, extended, {}) if causes else (),
             warnings=tuple(warnings),
         )
 

@@ -8,6 +8,7 @@ from typing import Any, Self
 from dropo.core.contracts.problem import Problem
 from dropo.core.services.files.atomic_write import write_json
 from dropo.core.services.tables import Report, Table, number
+from dropo.diagnosis.findings.to_type import typed_lines
 from dropo.diagnosis.parts import Cause
 
 VERDICTS = {
@@ -188,6 +189,8 @@ class QuickDiagnosis(Report):
         What is explained at each joint.
     problem : Problem
         The extended one: its simulator has what is missing.
+    to_type : tuple of str
+        The elements of the model's MJCF with what was found, a line each.
     warnings : tuple of str
         What is unusual in the data.
     wall_time_s : float
@@ -200,6 +203,7 @@ class QuickDiagnosis(Report):
     faults: tuple[WiringFault, ...]
     forces: tuple[JointForces, ...]
     problem: Problem
+    to_type: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     wall_time_s: float = 0.0
 
@@ -231,12 +235,13 @@ class QuickDiagnosis(Report):
         return f"{count} {noun} missing or wrong, by regression alone. {verdict}"
 
     def parts(self) -> list[str | Table]:
-        """The headline, the causes with the numbers to type, and the forces."""
+        """The headline, the causes, what to type into the model, and the forces."""
         lines: list[str | Table] = [self.headline()]
         if self.faults:
             lines.append(fault_table(self.faults))
         if self.causes:
             lines.append(self._cause_table())
+        lines += typed_lines(self.to_type)
         lines.append(self._force_table())
         if self.causes:
             lines.append(
@@ -297,6 +302,7 @@ class QuickDiagnosis(Report):
             "alternatives": [],
             "forces": [asdict(joint) for joint in self.forces],
             "extended_problem": "extended/problem.yaml",
+            "to_type": list(self.to_type),
             "warnings": list(self.warnings),
             "seed": None,
             "version": __version__,

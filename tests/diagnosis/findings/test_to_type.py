@@ -6,7 +6,7 @@ import numpy as np
 from dropo.core.contracts.effect import instances_of
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Trajectories
-from dropo.diagnosis.findings.to_type import to_type
+from dropo.diagnosis.findings.to_type import SHOWN, to_type, typed_lines
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 XML = """
@@ -53,3 +53,12 @@ def test_elements_that_change_are_listed():
         "no element of MJCF: actuator delay at drive, delay 0.003 s",
     )
     assert to_type(problem(came), problem(came), {}) == ()
+
+
+def test_few_lines_are_printed():
+    """Those beyond are counted; nothing is printed of nothing."""
+    assert typed_lines(()) == []
+    assert typed_lines(("<a/>",)) == ["Type into the model:", "  <a/>"]
+    many = typed_lines(["<a/>"] * (SHOWN + 2))
+    assert len(many) == SHOWN + 2
+    assert many[-1] == "  ... and 2 lines more, in extended/model.xml"
