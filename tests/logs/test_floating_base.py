@@ -17,7 +17,7 @@ from dropo.estimators.dropo import DROPO
 from dropo.logs.floating_base import missing_for_base
 from dropo.logs.signals.base_motion import BaseMotion, estimate_base, imu_of
 from dropo.logs.signals.velocities import estimate_velocities
-from dropo.logs.starting import Start, init
+from dropo.logs.starting import InitResult, init
 from dropo.mjmodel.joints import model_joints
 from dropo.problems.loading import load
 from dropo.problems.simulated.example_quadruped import (
@@ -86,7 +86,7 @@ def test_an_imu_that_is_mounted_otherwise(turn: list[float]) -> None:
     assert estimated(log, imu).standing < 0.4
 
 
-def started(folder: Path, tilt: float = 0.0) -> tuple[Start, Problem]:
+def started(folder: Path, tilt: float = 0.0) -> tuple[InitResult, Problem]:
     """What `dropo init` makes of two logs, and the problem."""
     paths = write_quadruped(folder, 2, seed=11, walk=replace(SHORT, tilt=tilt))
     start = init(paths[0], paths[1:], folder / "out")
