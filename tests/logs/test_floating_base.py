@@ -14,6 +14,7 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.services.errors import Incompatible
 from dropo.diagnosis.regression.quick import QuickDiagnose
 from dropo.estimators.dropo import DROPO
+from dropo.estimators.support.rough_starts import COMMON_ERRORS, warnings_of_starts
 from dropo.logs.floating_base import missing_for_base
 from dropo.logs.signals.base_motion import BaseMotion, estimate_base, imu_of
 from dropo.logs.signals.velocities import estimate_velocities
@@ -103,6 +104,8 @@ def test_init_estimates_the_base(tmp_path: Path) -> None:
     assert "sensordata.gyro[0]" in names - set(problem.estimated)
     assert any("The pose of base is not logged" in note for note in start.imported.notes)
     assert not start.imported.findings
+    assert warnings_of_starts(problem) == (COMMON_ERRORS,)
+    assert warnings_of_starts(replace(problem, estimated={"qvel.base[0]": 0.01})) == ()
     file = tmp_path / "out" / "problem.yaml"
     entries = [line[2:] for line in file.read_text().splitlines() if "contact_friction:" in line]
     file.write_text(file.read_text() + "\n".join(["parameters:", *entries]) + "\n")
