@@ -14,10 +14,11 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.services.errors import Incompatible
 from dropo.diagnosis.regression.quick import QuickDiagnose
 from dropo.estimators.dropo import DROPO
+from dropo.estimators.support.rough_starts import COMMON_ERRORS, warnings_of_starts
 from dropo.logs.floating_base import missing_for_base
 from dropo.logs.signals.base_motion import BaseMotion, estimate_base, imu_of
 from dropo.logs.signals.velocities import estimate_velocities
-from dropo.logs.starting import Start, init
+from dropo.logs.starting import InitResult, init
 from dropo.mjmodel.joints import model_joints
 from dropo.problems.loading import load
 from dropo.problems.simulated.example_quadruped import (
@@ -86,7 +87,46 @@ def test_an_imu_that_is_mounted_otherwise(turn: list[float]) -> None:
     assert estimated(log, imu).standing < 0.4
 
 
-def started(folder: Path, tilt: float = 0.0) -> tuple[Start, Problem]:
+WHEEL = """<body name="w{0}" pos="{1} {2} 0"><joint name="w{0}" axis="0 1 0" armature="0.001"/>
+  <geom type="sphere" size="0.1" mass="0.3"/></body>"""
+PLACES = ((0.2, 0.15), (0.2, -0.15), (-0.2, 0.15), (-0.2, -0.15))
+WHEELS = "".join(WHEEL.format(i, x, y) for i, (x, y) in enumerate(PLACES))
+DRIVES = "".join(f'<velocity name="w{i}" joint="w{i}" kv="0.5"/>' for i in range(4))
+CAR = f"""<mujoco><option timestep="0.002"/><worldbody><geom type="plane" size="9 9 0.1"/>
+  <body name="car" pos="0 0 0.1"><freejoint name="root"/>
+    <geom type="box" size="0.25 0.1 0.05" mass="5" contype="0" conaffinity="0"/>
+    <site name="imu" pos="0 0 0.05"/>{WHEELS}</body></worldbody><actuator>{DRIVES}</actuator>
+  <sensor><gyro name="gyro" site="imu"/><accelerometer name="acc" site="imu"/></sensor></mujoco>"""
+
+
+def test_a_machine_on_wheels() -> None:
+    """A wheel that rolls stands where it touches: a car's velocity is known to 0.01 m/s."""
+    model = mujoco.MjModel.from_xml_string(CAR)
+    data = mujoco.MjData(model)
+    rng = np.random.default_rng(0)
+    rows = []
+    for k in range(300):
+        mujoco.mj_forward(model, data)
+        rows.append(np.concatenate([data.qpos, data.qvel, data.sensordata]))
+        data.ctrl[:] = 4 * np.sin(0.03 * k)
+        mujoco.mj_step(model, data, 5)
+    table = np.array(rows)
+    time = 0.01 * np.arange(300)
+    smooth = estimate_velocities(time, table[:, 7:11] + 1e-3 * rng.normal(size=(300, 4)))
+    positions = np.concatenate([np.zeros((300, 7)), smooth.positions], axis=1)
+    velocities = np.concatenate([np.zeros((300, 6)), smooth.velocities], axis=1)
+    robot = model_joints(model)
+    shown = table[:, -6:] + np.repeat([0.01, 0.1], 3) * rng.normal(size=(300, 6))
+    sensors = robot.sensors
+    seen = imu_of(robot, sensors["gyro"], sensors["acc"], shown[:, :3], shown[:, 3:])
+    assert seen is not None
+    found = estimate_base(robot, time, positions, velocities, 0.05, seen)
+    error = found.velocities[:, 0] - table[:, 11]
+    assert np.sqrt(np.mean(error**2)) < 0.01 < 0.1 * table[:, 11].std()
+    assert found.standing > 0.99
+
+
+def started(folder: Path, tilt: float = 0.0) -> tuple[InitResult, Problem]:
     """What `dropo init` makes of two logs, and the problem."""
     paths = write_quadruped(folder, 2, seed=11, walk=replace(SHORT, tilt=tilt))
     start = init(paths[0], paths[1:], folder / "out")
@@ -103,6 +143,8 @@ def test_init_estimates_the_base(tmp_path: Path) -> None:
     assert "sensordata.gyro[0]" in names - set(problem.estimated)
     assert any("The pose of base is not logged" in note for note in start.imported.notes)
     assert not start.imported.findings
+    assert warnings_of_starts(problem) == (COMMON_ERRORS,)
+    assert warnings_of_starts(replace(problem, estimated={"qvel.base[0]": 0.01})) == ()
     file = tmp_path / "out" / "problem.yaml"
     entries = [line[2:] for line in file.read_text().splitlines() if "contact_friction:" in line]
     file.write_text(file.read_text() + "\n".join(["parameters:", *entries]) + "\n")

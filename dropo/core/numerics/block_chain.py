@@ -110,7 +110,7 @@ class BlockChain:
         """
         n, s, b = self.border.shape
         sides = np.concatenate([self.right.reshape(-1, 1), self.border.reshape(-1, b)], axis=1)
-        solved = self._solved(sides)
+        solved = np.asarray(cho_solve_banded(self._factor(), sides))
         by_common = solved[:, 1:]
         border = self.border.reshape(-1, b)
         corner = self.corner - border.T @ by_common
@@ -132,14 +132,17 @@ class BlockChain:
         (k, s) array
         """
         n, s, _ = self.border.shape
-        sides = np.zeros((n * s, len(places) * s))
-        rows = (np.asarray(places)[:, None] * s + np.arange(s)).ravel()
-        sides[rows, np.arange(len(rows))] = 1.0
-        variances = self._solved(sides)[rows, np.arange(len(rows))]
-        return np.asarray(np.sqrt(variances).reshape(-1, s))
+        factor = self._factor()
+        variances = np.empty((len(places), s))
+        for i, place in enumerate(np.asarray(places).tolist()):
+            rows = slice(place * s, (place + 1) * s)
+            sides = np.zeros((n * s, s))
+            sides[rows] = np.eye(s)
+            variances[i] = np.diagonal(cho_solve_banded(factor, sides)[rows])
+        return np.sqrt(variances)
 
-    def _solved(self, sides: Array) -> Array:
-        """The chain alone solved for several right sides (n s, k)."""
+    def _factor(self) -> tuple[Array, bool]:
+        """The Cholesky factor of the chain alone, and that it is the lower one."""
         n, s, _ = self.border.shape
         banded = np.zeros((2 * s, n * s))
         for i in range(s):
@@ -147,5 +150,4 @@ class BlockChain:
                 banded[i - j, j::s] = self.diagonal[:, i, j]
             for j in range(s):
                 banded[s + i - j, j : (n - 1) * s : s] = self.after[:, j, i]
-        factor = cholesky_banded(banded, lower=True)
-        return np.asarray(cho_solve_banded((factor, True), sides))
+        return np.asarray(cholesky_banded(banded, lower=True)), True

@@ -721,7 +721,7 @@ def _warnings(simulator: RobotSimulator, estimate: Missing) -> list[str]:
     if estimate.fitter.equation.by_joint:
         found.append(
             "The base is free: contact forces are unknown and projected out, and what they alone "
-            "show, as the ground's friction, is not looked for."
+            "show, as the ground's friction, is not looked for; a fit of geom_friction finds that."
         )
     driven = estimate.fitter.equation.driven
     for joint in joints(simulator.model):

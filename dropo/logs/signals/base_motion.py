@@ -23,7 +23,6 @@ from dropo.mjmodel.joints import ModelJoints
 from dropo.mjmodel.sensors import Sensor
 from dropo.mjmodel.standing import (
     Footing,
-    floating_base,
     footing,
     ground_height,
     level_ground,
@@ -35,6 +34,8 @@ STATES = 9
 """Numbers of the step of an instant: rotation [rad], velocity [m/s], position [m]; world's axes."""
 BIASES = 6
 """Of the gyro [rad/s] and of the accelerometer [m/s^2], the same in a run; base's axes."""
+HELD = 1e9
+"""Information on what no measurement shows, at a run's first instant."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,8 @@ class BaseMotionSettings:
         So many; behind them the feet are found anew.
     low : float
         A foot may stand where it is at most so high above the lowest one [m].
+    lowest : float
+        The same in the first round, in which feet that move do not show yet [m].
     acceleration, turning : float
         Least standard deviations of the IMU between two instants [m/s^2, rad/s]: it shows an impact
         at one of them, or at none.
@@ -88,6 +91,7 @@ class BaseMotionSettings:
     rough: float = 0.03
     rough_rounds: int = 4
     low: float = 0.05
+    lowest: float = 1e-3
     acceleration: float = 0.25
     turning: float = 0.01
     path: float = 0.002
@@ -313,17 +317,12 @@ class _Smoother:
         h = self.steps
         acceleration, ahead = self._ahead(matrix)
         by_state = np.tile(np.eye(STATES), (len(h), 1, 1))
-        by_state[:, 3:6, :3] = -_cross(acceleration - self._gravity) * h[:, :, None]
+        by_state[:, 3:6, :3] = -_cross(acceleration - self.robot.gravity) * h[:, :, None]
         by_state[:, 6:, 3:6] = np.eye(3) * h[:, :, None]
         by_bias = np.zeros((len(h), STATES, BIASES))
         by_bias[:, :3, :3] = -matrix[:-1] * h[:, :, None]
         by_bias[:, 3:6, 3:] = -0.5 * (matrix[1:] + matrix[:-1]) * h[:, :, None]
         self.chain.add_links(by_state, by_bias, ahead, (self.sd * h) ** -2.0)
-
-    @property
-    def _gravity(self) -> Array:
-        """(3,) of the model."""
-        return self.robot.gravity
 
     def _ahead(self, matrix: Array) -> tuple[Array, Array]:
         """(n - 1, 3) accelerations between instants, and (n - 1, 9) how far each is ahead."""
@@ -332,7 +331,7 @@ class _Smoother:
         reached = self.turns[:-1] * self.rotation.from_rotvec(turning * h)
         turned = (reached * self.turns[1:].inv()).as_rotvec()
         own = np.einsum("nij,nj->ni", matrix, self.imu.acceleration - self.bias[3:])
-        own = own + self._gravity
+        own = own + self.robot.gravity
         between = 0.5 * (own[1:] + own[:-1])
         faster = self.velocity[:-1] + between * h - self.velocity[1:]
         middle = 0.5 * (self.velocity[1:] + self.velocity[:-1])
@@ -352,20 +351,10 @@ class _Smoother:
 
     def _add_feet(self, *, first: bool) -> None:
         """Feet that stand have no speed, and are on the ground."""
-        settings = self.settings
         matrix = self.turns.as_matrix()
         speeds, turned, places = self._foot_speeds(matrix)
         heights = self.place[:, None, 2] + places[:, :, 2]
-        near = self.footing.heights < settings.low
-        nu = settings.degrees
-        if first:
-            near &= self.footing.heights <= 1e-3
-            weight = near * 1.0
-            weight_of_height = near * 1.0
-        else:
-            square = np.sum(speeds**2, axis=2)
-            weight = near * (nu + 3) / (nu + square / self.slip**2)
-            weight_of_height = near * (nu + 1) / (nu + (heights / self.sinking) ** 2)
+        weight, weight_of_height = self._foot_weights(speeds, heights, first)
         for k in range(weight.shape[1]):
             by_state = np.zeros((len(matrix), 4, STATES))
             by_state[:, :3, :3] = -_cross(turned[:, k])
@@ -379,6 +368,19 @@ class _Smoother:
             weights[:, 3] = weight_of_height[:, k] / self.sinking**2
             self.chain.add_rows(by_state, by_bias, residual, weights)
 
+    def _foot_weights(self, speeds: Array, heights: Array, first: bool) -> tuple[Array, Array]:
+        """(n, k) how much each foot's speed and its height count."""
+        settings = self.settings
+        if first:
+            lowest = np.where(self.footing.heights <= settings.lowest, 1.0, 0.0)
+            return lowest, lowest
+        near = self.footing.heights < settings.low
+        nu = settings.degrees
+        square = np.sum(speeds**2, axis=2) / self.slip**2
+        weight = np.where(near, (nu + 3) / (nu + square), 0.0)
+        of_height = np.where(near, (nu + 1) / (nu + (heights / self.sinking) ** 2), 0.0)
+        return weight, of_height
+
     def _add_priors(self) -> None:
         """Biases are small; place on the ground and direction begin where they are."""
         settings = self.settings
@@ -386,9 +388,9 @@ class _Smoother:
         self.chain.corner[:] += np.diag(sizes**-2.0)
         self.chain.right_corner[:] -= self.bias * sizes**-2.0
         held = [2, 6, 7]
-        self.chain.diagonal[0, held, held] += settings.sinking**-4.0
+        self.chain.diagonal[0, held, held] += HELD
         everywhere = np.arange(STATES)
-        self.chain.diagonal[:, everywhere, everywhere] += 1e-9
+        self.chain.diagonal[:, everywhere, everywhere] += 1 / HELD
 
     def motion(self) -> BaseMotion:
         """The motion of the base's own place."""
@@ -434,18 +436,3 @@ def _cross(vectors: Array) -> Array:
     zero = np.zeros_like(x)
     rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
     return np.moveaxis(np.array(rows), 2, 0)
-
-
-def can_stand(robot: ModelJoints) -> bool:
-    """Tell whether a robot has one free base and a level ground to stand on.
-
-    Parameters
-    ----------
-    robot : ModelJoints
-        The robot.
-
-    Returns
-    -------
-    bool
-    """
-    return floating_base(robot.model) is not None and level_ground(robot.model) is not None
