@@ -386,12 +386,12 @@ def _target(target: str, trusted: bool) -> tuple["Trajectories", "Problem | None
     from dropo.core.services.registry import names
     from dropo.core.services.validation import nearest
     from dropo.data.reading import MINARI, read
+    from dropo.problems.loading import load, refuse_folder
 
     if target in names("problems") or target.endswith((".yaml", ".yml")):
-        from dropo.problems.loading import load
-
         problem = load(target, checked=False, trusted=trusted)
         return problem.trajectories, problem
+    refuse_folder(target)
     if not (Path(target).exists() or target.startswith(MINARI) or target.endswith(".npz")):
         raise UnknownName(
             f"No data and no problem called {target!r}. {nearest(target, names('problems'))}"

@@ -244,7 +244,9 @@ def _problem(arguments: argparse.Namespace) -> "Problem":
     )
     if len(problem.space) == 0:
         beside = Path(arguments.problem).with_name("fit.yaml")
-        advice = f"none; {beside} has what was found as parameters" if beside.exists() else "none"
+        advice = "none (`dropo init` and `dropo data import` list some as comments)"
+        if beside.exists():
+            advice = f"none; {beside} has what was found as parameters"
         raise BadFile(arguments.problem, "parameters", "at least one parameter to fit", advice)
     if arguments.length is not None and problem.reset == "start":
         raise Incompatible(

@@ -166,6 +166,7 @@ def init(
     folder = Path(out) if out is not None else Path(re.sub(r"[^\w.-]+", "_", found.name))
     _check_folder(folder, None if mapping is None else Path(mapping))
     given = read_yaml(Path(mapping), KIND) if mapping is not None else {}
+    called = folder / MAP if mapping is None else Path(mapping)
     spec, lost = load_spec(found)
     joints = model_joints(load_model(spec))
     guess = guess_mapping(open_log(paths[0]), joints, given, ask)
@@ -175,15 +176,15 @@ def init(
     lines = [_say_robot(found, joints, lost), *guess.lines]
     text = None
     if guess.drives or found.is_urdf:
-        joints, text, more = _make_model(found, spec, guess, content, paths, folder)
+        joints, text, more = _make_model(found, spec, guess, content, paths, folder, called)
         lines += more
     if guess.sensor_units:
-        content, more = _choose_sensor_units(content, guess, paths, folder, joints)
+        content, more = _choose_sensor_units(content, guess, paths, called, joints)
         lines += more
     if "qvel" in content and "qvel" not in given:
-        content, more = _choose_velocities(content, paths, folder, joints)
+        content, more = _choose_velocities(content, paths, called, joints)
         lines += more
-    checked = check_mapping(folder / MAP, content, joints)
+    checked = check_mapping(called, content, joints)
     imported = prepare(paths, checked, joints, progress, settings)
     files = {MAP: MAP_HEAD + format_yaml(content)}
     sums = {MAP_SUM: sum_of(files[MAP].encode())}
@@ -257,10 +258,10 @@ def _merge(guessed: dict[str, Any], given: dict[Any, Any]) -> dict[str, Any]:
 
 
 def _choose_velocities(
-    content: dict[str, Any], paths: Sequence[str | Path], folder: Path, joints: ModelJoints
+    content: dict[str, Any], paths: Sequence[str | Path], called: Path, joints: ModelJoints
 ) -> tuple[dict[str, Any], list[str]]:
     """The mapping without logged velocities that are worse than smoothed ones, and why."""
-    mapping = check_mapping(folder / MAP, content, joints)
+    mapping = check_mapping(called, content, joints)
     runs = read_runs(paths[:1], mapping, ignore_progress)
     longest = max(runs, key=lambda run: run.rows)
     noise = compare_velocities(clean_run(longest, joints))
@@ -280,11 +281,11 @@ def _choose_sensor_units(
     content: dict[str, Any],
     guess: Guess,
     paths: Sequence[str | Path],
-    folder: Path,
+    called: Path,
     joints: ModelJoints,
 ) -> tuple[dict[str, Any], list[str]]:
     """The mapping with units of sensors by what the model's own show, where no name says them."""
-    mapping = check_mapping(folder / MAP, content, joints)
+    mapping = check_mapping(called, content, joints)
     runs = read_runs(paths[:1], mapping, ignore_progress)
     lines = []
     entries = dict(content["sensordata"])
@@ -309,13 +310,17 @@ def _make_model(
     content: dict[str, Any],
     paths: Sequence[str | Path],
     folder: Path,
+    called: Path,
 ) -> tuple[ModelJoints, str, list[str]]:
-    """The model with drives and a step of the log's, its MJCF, and what to say of it."""
+    """The model with drives and a step of the log's, its MJCF, and what to say of it.
+
+    called: what messages call the mapping's file.
+    """
     drives = {joint: DriveGuess(kind) for joint, kind in guess.drives.items()}
     trial = spec.copy()
     add_drives(trial, {joint: DriveGuess("torque") for joint in drives})
     bare = model_joints(load_model(trial))
-    mapping = check_mapping(folder / MAP, content, bare)
+    mapping = check_mapping(called, content, bare)
     runs = read_runs(paths[:1], mapping, ignore_progress)
     estimates = estimate_drives(runs, bare, drives) if drives else {}
     rate = content.get("rate")

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import cast
 
 from dropo.core.contracts.problem import Problem
-from dropo.core.services.errors import BadArgument
+from dropo.core.services.errors import BadArgument, BadFile
 from dropo.core.services.registry import find, names
 from dropo.core.services.validation import known
 from dropo.problems.file.data_errors import find_data_error
@@ -63,6 +63,7 @@ def load(
             Path(problem), threads=threads, checked=checked, input=input, trusted=trusted
         )
         return replace(read, source=str(Path(problem).resolve()))
+    refuse_folder(problem)
     make = find("problems", known("problem", str(problem), names("problems")))
     chosen = {} if input is None else {"input": known("input", input, inputs_of(problem))}
     found = cast(Problem, make(threads=threads, **chosen))
@@ -102,6 +103,24 @@ def load_states(problem: str | Path, *, threads: int = 0, trusted: bool = True) 
     make = find("problems", known("problem", str(problem), names("problems")))
     found = cast(Problem, make(threads=threads))
     return replace(found, trajectories=found.everything or found.trajectories)
+
+
+def refuse_folder(problem: str | Path) -> None:
+    """Refuse a folder in the place of the problem file in it.
+
+    Parameters
+    ----------
+    problem : str or Path
+        As `load` takes it.
+
+    Raises
+    ------
+    BadFile
+        If it is a folder with a problem file and no built-in problem; the message names the file.
+    """
+    inside = Path(problem) / "problem.yaml"
+    if str(problem) not in names("problems") and inside.is_file():
+        raise BadFile(problem, "", "a problem file", f"a folder; give {inside}")
 
 
 def is_file(problem: str | Path) -> bool:

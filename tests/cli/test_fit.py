@@ -322,7 +322,8 @@ def test_a_problem_without_parameters(problem: Path, capsys: pytest.CaptureFixtu
     assert main(["fit", str(problem)]) == 2
     assert (
         capsys.readouterr().err
-        == f"dropo: {problem}: parameters: expected at least one parameter to fit, got none.\n"
+        == f"dropo: {problem}: parameters: expected at least one parameter to fit, got none "
+        "(`dropo init` and `dropo data import` list some as comments).\n"
     )
     beside = problem.with_name("fit.yaml")
     beside.touch()

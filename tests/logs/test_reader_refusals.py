@@ -31,6 +31,8 @@ def read(log: Log, topic: str | None, columns: list[str]) -> dict[str, Any]:
         (b"t,q\n0,1\n1,\xff\n", r"byte 10: .*no text"),
         (b"t,q,t\n0,1,2\n", "line 1: expected every column's name once, got 't' twice"),
         (b"0,1\n1,2\n", "line 1: expected the names of the columns, got numbers"),
+        (b"0,0\n1,2\n", "line 1: expected the names of the columns, got numbers"),
+        (b"t,q\n", "line 2: expected rows below the names, got none"),
         (b"t,q\n0,1\n1,on\n", "line 3, column 'q': expected a number, got 'on'"),
         (b't,q\n0,"[1, 2]"\n\n1,"[3]"\n', r"line 4, column 'q\[1\]': expected a list as long"),
     ],
@@ -41,6 +43,16 @@ def test_tables_of_text(tmp_path: Path, content: bytes, told: str) -> None:
     path.write_bytes(content)
     with pytest.raises(BadFile, match=rf"log.csv: {told}"):
         read(CsvLog(path), None, CsvLog(path).columns(None))
+
+
+def test_numbers_with_a_comma_in_them(tmp_path: Path) -> None:
+    """As tables of some countries have them, where something else separates the columns."""
+    path = tmp_path / "log.csv"
+    path.write_text("t;q;run\n0;1,5;a\n0,01;-2,25;b,c\n")
+    found = read(CsvLog(path), None, ["t", "q", "run"])
+    assert found["t"].tolist() == [0.0, 0.01]
+    assert found["q"].tolist() == [1.5, -2.25]
+    assert found["run"].tolist() == ["a", "b,c"]
 
 
 def test_lists_may_be_empty(tmp_path: Path) -> None:

@@ -184,6 +184,14 @@ def test_an_edited_mapping_is_not_lost(example: Path) -> None:
     assert found.imported.frame_skip == 10
 
 
+def test_messages_name_the_mapping_that_was_given(example: Path) -> None:
+    """Not the file that would have been written."""
+    given = example / "mine.yaml"
+    given.write_text("qpos: {elbw: {sign: -1}}\n")
+    with pytest.raises(BadFile, match=r"mine.yaml: qpos.elbw: .*the nearest is 'elbow'"):
+        init(example / "arm.xml", logs(example), example / "out", mapping=given)
+
+
 def changed(path: Path, change: Any) -> None:
     """Changes the table (n, 5) of a log: ms, two angles, two targets."""
     lines = path.read_text().splitlines()

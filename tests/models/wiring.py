@@ -26,6 +26,9 @@ MACHINES = {
     "three links on motors": Design(
         ("hinge z", "hinge y", "hinge y"), (0.1, 0.3, 0.25), (2.0, 0.8, 0.4), (9.0, 9.0, 4.0), False
     ),
+    "two links on servos": Design(
+        ("hinge y", "hinge y"), (0.35, 0.3), (2.0, 1.2), (120.0, 60.0), along="zz"
+    ),
     "cart and pole on motors": Design(
         ("slide x", "hinge y"), (0.2, 0.4), (2.0, 0.5), (20.0, 3.0), False, along=("x", "z")
     ),

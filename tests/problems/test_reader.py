@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from dropo.core.services.errors import BadArgument, BadFile, InvalidInput, UnknownName
+from dropo.core.services.files.file_content import describe_options
 from dropo.core.services.files.strict_yaml import format_yaml, read_yaml
 from dropo.core.services.registry import find
 from dropo.problems.loading import load
@@ -360,6 +361,20 @@ def test_an_unknown_name_gets_the_nearest() -> None:
         UnknownName, match=re.escape("No problem called 'hoper'. Did you mean 'hopper'?")
     ):
         load("hoper")
+
+
+def test_a_name_that_breaks_off_gets_the_whole_one() -> None:
+    """Even where another name has as many letters in common."""
+    told = describe_options("a field", "dof_friction", ["o_friction", "dof_frictionloss"])
+    assert told == "a field (the nearest is 'dof_frictionloss')"
+
+
+def test_a_folder_is_no_problem_file(folder: Path) -> None:
+    """The one that is in it is named."""
+    (folder / "problem.yaml").write_text("model: robot.xml\ndata: data.npz\n")
+    told = rf"{folder}: expected a problem file, got a folder; give {folder}/problem.yaml"
+    with pytest.raises(BadFile, match=re.escape(told)):
+        load(str(folder))
 
 
 def test_built_in_problems_are_checked(monkeypatch: pytest.MonkeyPatch) -> None:

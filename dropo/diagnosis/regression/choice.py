@@ -59,7 +59,7 @@ class ChoiceSettings:
 class BlockTables:
     """What a linear solve needs of each of B blocks of time.
 
-    The columns are the model's needs, all K terms, and 1 kg of the payload.
+    The columns are the model's needs where there are drives, all K terms, and 1 kg of the payload.
 
     Attributes
     ----------
@@ -312,9 +312,10 @@ class Chooser:
         """
         fitter = self.fitter
         drives = fitter.forces(solution.delay)
+        factors = fitter.factors(solution)
         share = np.zeros(len(fitter.terms))
         for i in solution.terms:
-            own = solution.beta * solution.sizes[i] * fitter.columns[:, :, i]
+            own = factors * solution.sizes[i] * fitter.columns[:, :, i]
             own = np.where(fitter.equation.used, own, np.nan)
             share[i] = float(
                 np.max(root_mean_square(own) / np.maximum(root_mean_square(drives), 1e-300))
@@ -337,13 +338,10 @@ class Chooser:
             Of the B blocks of time, in their order.
         """
         fitter = self.fitter
-        needed = fitter.equation.needed
-        payload = np.zeros_like(needed)
-        if solution.payload is not None:
-            payload = fitter.payload_column(solution.payload)
-        columns = np.concatenate([needed[:, :, None], fitter.columns, payload[:, :, None]], axis=2)
+        needed, terms, payload, target = fitter.linear_columns(solution)
+        columns = np.concatenate([needed[:, :, None], terms, payload[:, :, None]], axis=2)
         columns = columns * solution.weights[:, :, None]
-        target = fitter.drives(solution.delay) * solution.weights
+        target = target * solution.weights
         grams = []
         moments = []
         sizes = []

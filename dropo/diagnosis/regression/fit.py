@@ -6,7 +6,9 @@ it lacks, the sum of size times column. Divided by the gain,
     T = beta (L + sum_k size_k X_k),    beta = 1 / (1 + g),
 
 so that the command, the only number without noise, stands on the left with a coefficient of one.
-Otherwise everything could shrink towards nothing together.
+Otherwise everything could shrink towards nothing together. A joint without a drive has no such
+number: its rows, -L = sum_k size_k X_k, stay apart from beta, which would else be worth least where
+it is nearly 0.
 """
 
 from collections.abc import Iterable, Sequence
@@ -224,6 +226,49 @@ class Fitter:
 
     # ---- linear in everything but the delay and the payload's place
 
+    def factors(self, solution: Solution) -> Array:
+        """Give the factor on the model's forces, and on those that are missing, at each joint.
+
+        Parameters
+        ----------
+        solution : Solution
+            The numbers, of which the gain counts.
+
+        Returns
+        -------
+        (nv,) array
+            One over the gain's factor; 1 where there is no drive, and so no gain.
+        """
+        return np.where(self.equation.driven, solution.beta, 1.0)
+
+    def linear_columns(self, solution: Solution) -> tuple[Array, Array, Array, Array]:
+        """Return the columns of a linear solve, whose unknowns are multiplied by beta.
+
+        Parameters
+        ----------
+        solution : Solution
+            The delay, the payload's place, and the gain, by which rows without a drive are divided.
+
+        Returns
+        -------
+        needed : (R, nv) array
+            What the model needs where there are drives, 0 elsewhere [N, N m].
+        terms : (R, nv, K) array
+            The force that one unit of each term needs.
+        payload : (R, nv) array
+            That of 1 kg of the payload; 0 where there is none.
+        target : (R, nv) array
+            The drives' forces; where there are none, those that nothing of the model explains.
+        """
+        driven = self.equation.driven
+        scale = self.factors(solution) / solution.beta
+        needed = np.where(driven, self.equation.needed, 0.0)
+        payload = np.zeros_like(needed)
+        if solution.payload is not None:
+            payload = self.payload_column(solution.payload) * scale
+        target = self.drives(solution.delay) - np.where(driven, 0.0, self.equation.needed)
+        return needed, self.columns * scale[:, None], payload, target
+
     def solve(self, solution: Solution) -> Solution:
         """Fit the sizes, the gain and the payload's mass by least squares, robustly weighted.
 
@@ -256,16 +301,15 @@ class Fitter:
 
     def _system(self, solution: Solution) -> tuple[Array, Array, Array]:
         """Columns (R, nv, k), what they explain (R, nv), and lower bounds (k,)."""
-        needed = self.equation.needed
+        needed, terms, payload, target = self.linear_columns(solution)
         columns = []
         lowest = []
         for i in solution.chosen:
-            columns.append(needed if i == GAIN else self.columns[:, :, i])
+            columns.append(needed if i == GAIN else terms[:, :, i])
             lowest.append(LEAST_BETA if i == GAIN else solution.beta * self.terms[i].lowest)
         if solution.payload is not None:
-            columns.append(self.payload_column(solution.payload))
+            columns.append(payload)
             lowest.append(0.0)
-        target = self.drives(solution.delay)
         if GAIN not in solution.chosen:
             target = target - needed
         stacked = np.stack(columns, axis=2) if columns else np.zeros((*needed.shape, 0))
@@ -334,11 +378,12 @@ class Fitter:
         gram, moments = _normal_equations(others, target, solution.weights)
         ridge = 1e-10 * np.diag(np.maximum(np.diag(gram), 1e-300))
         weights = solution.weights[:, :, None]
+        scale = (self.factors(solution) / solution.beta)[:, None]
         flat_others = (others * weights).reshape(target.size, others.shape[2])
         aim = (target * solution.weights).ravel()
         best: tuple[float, Payload | None] = (0.0, None)
         for body in bodies:
-            own = (self.equation.by_inertia[body] * weights).reshape(-1, 10)
+            own = (self.equation.by_inertia[body] * scale * weights).reshape(-1, 10)
             cross = flat_others.T @ own
             solved = np.linalg.solve(gram + ridge, np.column_stack([cross, moments]))
             left = own.T @ own - cross.T @ solved[:, :-1]
@@ -404,7 +449,7 @@ class Fitter:
         Returns
         -------
         (R, nv) array
-            What is left [N, N m].
+            What is left [N, N m]; where there is no drive, what the motion needs and has not.
         """
         return self._linearized(solution)[1]
 
@@ -416,19 +461,21 @@ class Fitter:
         """
         columns = self.columns[:, :, solution.terms]
         needed = self.equation.needed + columns @ solution.sizes[solution.terms]
-        parts = [solution.beta * columns]
+        factors = self.factors(solution)
+        by_row = factors[:, None]
+        parts = [by_row * columns]
         payload = solution.payload
         if payload is not None:
             own = self.payload_column(payload)
             needed = needed + payload.mass * own
-            parts.append(solution.beta * own[:, :, None])
+            parts.append(by_row * own[:, :, None])
             by_inertia = self.equation.by_inertia[payload.body]
             moved = np.stack([point_mass_slope(payload.place, axis) for axis in np.eye(3)], axis=1)
-            parts.append(solution.beta * payload.mass * (by_inertia @ moved))
+            parts.append(by_row * payload.mass * (by_inertia @ moved))
         if GAIN in solution.chosen:
-            parts.insert(0, needed[:, :, None])
+            parts.insert(0, np.where(self.equation.driven, needed, 0.0)[:, :, None])
         parts.append(-np.asarray(self._drives(solution.delay, 1))[:, :, None])
-        residuals = self.drives(solution.delay) - solution.beta * needed
+        residuals = self.drives(solution.delay) - factors * needed
         return np.concatenate(parts, axis=2), residuals
 
     def _step_bounds(self, solution: Solution) -> Array:

@@ -8,7 +8,7 @@ are held against their joints.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
-from itertools import combinations
+from itertools import chain, combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -330,8 +330,10 @@ class _WiringSearch:
         found: list[tuple[float, Change]] = []
         # Both signs of one joint turn its own forces around, as a load on its other side does.
         turned = {change.dofs for change in changes if change.kind == "sign"}
-        for stage in (self._of_commands, self._of_angles, self._of_units):
-            for change in stage(reading, bad):
+        # An exchange of angles is half explained by one of commands: the two are compared.
+        wires = chain(self._of_commands(reading, bad), self._of_angles(reading, bad))
+        for stage in (wires, self._of_units(reading, bad)):
+            for change in stage:
                 if change.kind == "sign" and change.dofs in turned:
                     continue
                 found.append((self._left_with([*changes, change]), change))

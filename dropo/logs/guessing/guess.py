@@ -44,6 +44,11 @@ FOLLOWS: dict[str | None, float] = {
 }
 """Correlation with the positions from which on commands of unknown kind are commanded positions, by
 what the model's actuators take."""
+UNKNOWN = "nothing says otherwise"
+"""Why a command whose joint has no position is in its unit."""
+FOLLOWS_OTHERWISE = 0.9
+"""The same of either sign and with any joint, where the model's servos take positions: a sign may
+be wrong, or two columns exchanged."""
 
 
 @dataclass(frozen=True)
@@ -562,20 +567,40 @@ class _Guesser:
         wanted = self._kind_wanted()
         alike = []
         pairs = []
+        nearest = []
         for name, column in found.items():
             position = self._positions.get(owners[name])
-            if position is None or position[0].topic != column.topic:
-                continue
-            commands, places = self._columns.read([column, position[0]])
-            there = np.isfinite(commands) & np.isfinite(places)
-            if np.ptp(commands[there]) > 0 and np.ptp(places[there]) > 0:
-                pairs.append(np.stack([commands[there], places[there]]))
-                alike.append(float(np.corrcoef(*pairs[-1])[0, 1]))
+            pair = None if position is None else self._moving_pair(column, position[0])
+            if pair is not None:
+                pairs.append(pair)
+                alike.append(float(np.corrcoef(*pair)[0, 1]))
+                nearest.append(self._nearest_likeness(column))
         if not alike:
             return wanted or words.POSITION
         together = float(np.corrcoef(*np.concatenate(pairs, axis=1))[0, 1])
-        follows = max(float(np.median(alike)), together)
-        return words.POSITION if follows > FOLLOWS[wanted] else words.EFFORT
+        if max(float(np.median(alike)), together) > FOLLOWS[wanted]:
+            return words.POSITION
+        is_turned = wanted == words.POSITION and float(np.median(nearest)) > FOLLOWS_OTHERWISE
+        return words.POSITION if is_turned else words.EFFORT
+
+    def _moving_pair(self, command: ColumnName, position: ColumnName) -> Array | None:
+        """(2, n) a command and a position of its topic where both are there; None if one rests."""
+        if position.topic != command.topic:
+            return None
+        commands, places = self._columns.read([command, position])
+        there = np.isfinite(commands) & np.isfinite(places)
+        if not (there.any() and np.ptp(commands[there]) > 0 and np.ptp(places[there]) > 0):
+            return None
+        return np.stack([commands[there], places[there]])
+
+    def _nearest_likeness(self, command: ColumnName) -> float:
+        """The largest correlation of a command with any joint's position, of either sign."""
+        best = 0.0
+        for position, _ in self._positions.values():
+            pair = self._moving_pair(command, position)
+            if pair is not None:
+                best = max(best, abs(float(np.corrcoef(*pair)[0, 1])))
+        return best
 
     def _kind_wanted(self) -> str | None:
         """The kind of command that the model's actuators take; None where it has none."""
@@ -629,10 +654,16 @@ class _Guesser:
         """The units of commands."""
         entries = {}
         units = {}
+        scales = {
+            name: self._command_scale(one, kind, owners[name]) for name, one in chosen.items()
+        }
+        followed = [scales[name] for name in chosen if owners[name] in self._positions]
         for name, column in chosen.items():
             self._columns.used.add(column)
             given = self._given_entry("ctrl", name).get("unit")
-            scale = self._command_scale(column, kind, owners[name])
+            scale = scales[name]
+            if scale.why == UNKNOWN:
+                scale = next((one for one in followed if _alike(one, scale)), scale)
             if given is not None:
                 scale = Scale(str(given), "it was given")
             entries[name] = self._entry(column, scale)
@@ -660,7 +691,8 @@ class _Guesser:
             return Scale(hint or unit, "its name says so" if hint else "velocities are")
         position = self._positions.get(joint)
         if position is None:
-            return Scale(hint or ("m" if is_slide else "rad"), "nothing says otherwise")
+            reason = "its name says so" if hint else UNKNOWN
+            return Scale(hint or ("m" if is_slide else "rad"), reason)
         commands, places = self._paired(column, position[0])
         return command_unit(commands, places, hint, position[1])
 
@@ -681,3 +713,8 @@ class _Guesser:
             self.guess.lines.append(f"not used: {quote(left)}")
         if not self.guess.mapping.get("ctrl"):
             self.guess.mapping.pop("ctrl", None)
+
+
+def _alike(one: Scale, other: Scale) -> bool:
+    """Whether two units are of the same quantity."""
+    return UNITS[one.unit][0] == UNITS[other.unit][0]

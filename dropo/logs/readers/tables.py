@@ -30,7 +30,8 @@ NO_VALUE = ("", "nan", "null", "none", "na")
 class CsvLog(Log):
     """Text with a row of names, then a line for each row, separated by , ; tabs or blanks.
 
-    An empty cell, "nan" or "null" is no value. Cells may be dates as ISO 8601 writes them, or lists
+    An empty cell, "nan" or "null" is no value. Where no comma separates, numbers may have one in
+    the place of their point. Cells may be dates as ISO 8601 writes them, or lists
     such as "[0.1, 0.2]", whose columns are "name[0]", "name[1]"; other texts only tell runs apart.
     """
 
@@ -47,11 +48,11 @@ class CsvLog(Log):
         separator = separator if separator in text else " "
         cells = next(csv.reader([text], delimiter=separator, skipinitialspace=True))
         names = [name.strip() for name in cells]
+        if names and all(_number(name) is not None for name in names):
+            raise BadFile(self.path, "line 1", "the names of the columns", "numbers")
         twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
         if twice is not None:
             raise BadFile(self.path, "line 1", "every column's name once", f"{twice!r} twice")
-        if names and all(_number(name) is not None for name in names):
-            raise BadFile(self.path, "line 1", "the names of the columns", "numbers")
         return names, separator
 
     @cached_property
@@ -63,6 +64,8 @@ class CsvLog(Log):
             file.readline()
             rows = csv.reader(self._lines(file), delimiter=separator, skipinitialspace=True)
             first = next((row for row in rows if row), [])
+        if not first:
+            raise BadFile(self.path, "line 2", "rows below the names", "none")
         places: dict[str, tuple[int, int | None]] = {}
         for i, name in enumerate(names):
             cell = first[i] if i < len(first) else ""
@@ -142,12 +145,13 @@ class CsvLog(Log):
             return np.array([cell if cell else "nan" for cell in cells], dtype=float)
         except ValueError:
             pass
-        numbers = [_number(cell) for cell in cells]
+        has_commas = self._header[1] != ","
+        numbers = [_number(cell, has_commas) for cell in cells]
         if all(number is not None for number in numbers):
             return np.array(numbers, dtype=float)
         if any(number is not None for number in numbers):
             for i, row in enumerate(block):
-                if row and _number(row[place]) is None:
+                if row and _number(row[place], has_commas) is None:
                     where = f"line {line + i}, column {name!r}"
                     raise BadFile(self.path, where, "a number", repr(row[place]))
         try:
@@ -162,9 +166,14 @@ def _elements(cell: str) -> list[str]:
     return [part.strip() for part in inside.replace(",", " ").split()]
 
 
-def _number(cell: str) -> float | None:
-    """The number in a cell, NaN where it holds none, None where it holds another text."""
+def _number(cell: str, has_commas: bool = False) -> float | None:
+    """The number in a cell, NaN where it holds none, None where it holds another text.
+
+    has_commas: whether a single comma may stand for the point.
+    """
     text = cell.strip()
+    if has_commas and text.count(",") == 1 and "." not in text:
+        text = text.replace(",", ".")
     if text.lower() in NO_VALUE:
         return float("nan")
     try:

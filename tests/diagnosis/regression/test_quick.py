@@ -22,6 +22,7 @@ from dropo.studies.first_models.machines import (
 )
 from dropo.studies.first_models.study import diagnosed
 from tests.models.first_models import problem_with, unknown_rotor
+from tests.models.furuta import ARMATURE, DAMPING, FRICTION, furuta_problem
 
 TOLERANCE = 4.0
 """Standard errors that a number may be off by."""
@@ -148,6 +149,22 @@ def test_built_in_effects_are_named():
     estimate = by_label(diagnosis)["joint_armature", "elbow"]["armature"]
     assert abs(estimate.value - 0.01) < TOLERANCE * estimate.se
     assert diagnosis.causes[0].effect == "joint_armature"
+
+
+def test_joints_without_a_drive_leave_the_gain_alone():
+    """Where a pendulum hangs on a driven arm, what that lacks is found, and no gain beside it."""
+    estimates = by_label(QuickDiagnose().run(furuta_problem(1)))
+    truth = {
+        ("joint_armature", "arm"): ("armature", ARMATURE),
+        ("joint_friction", "arm"): ("frictionloss", FRICTION),
+        ("joint_damping", "arm"): ("damping", DAMPING[0]),
+        ("joint_damping", "swing"): ("damping", DAMPING[1]),
+    }
+    assert {place for place in truth if "arm" in place} <= set(estimates) <= set(truth)
+    for place, estimate in estimates.items():
+        quantity, value = truth[place]
+        found = estimate[quantity]
+        assert abs(found.value - value) < TOLERANCE * found.se, (place, found)
 
 
 def test_refusals(plain):

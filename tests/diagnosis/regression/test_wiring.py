@@ -90,6 +90,13 @@ def test_exchanged_joints_are_named(logs, name, of):
     assert found(mixed) == [("exchange", "joint0, joint1")]
 
 
+def test_exchanged_angles_are_told_from_commands():
+    """Where an exchange of commands explains most of what one of angles explains all of."""
+    log = log_of("two links on servos", np.random.default_rng(1), runs=1, seconds=20.0)
+    (fault,) = wiring_of(read_otherwise(log, angles=exchanged(0, 1))).faults
+    assert (fault.kind, fault.target, fault.of) == ("exchange", "joint0, joint1", "angle")
+
+
 @pytest.mark.parametrize("name", SERVOS)
 @pytest.mark.parametrize("factor", [DEGREES, 1 / DEGREES, 1000.0, 5.0])
 def test_another_unit_of_a_command_is_named(logs, name, factor):

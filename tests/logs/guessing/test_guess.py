@@ -279,6 +279,21 @@ def test_commands_of_legs_that_sag(tmp_path: Path) -> None:
         guess(tmp_path, columns | torques)
 
 
+def test_commands_of_turned_and_exchanged_joints(tmp_path: Path) -> None:
+    """A wrong sign, or two columns exchanged, makes no torque of a position that is commanded."""
+    goals = {"hip cmd": GOALS[0], "knee cmd": GOALS[1]}
+    for hip, knee in ((HIP, -KNEE), (KNEE, HIP)):
+        found = guess(tmp_path, {"t": TIME, "hip q": hip, "knee q": knee} | goals)
+        assert set(found.mapping["ctrl"]) == {"hip_servo", "knee_servo"}
+
+
+def test_a_command_without_a_position_is_in_the_unit_of_the_others(tmp_path: Path) -> None:
+    """Degrees, where those are degrees whose joints follow them."""
+    goals = {"hip cmd": np.degrees(GOALS[0]), "knee cmd": np.degrees(GOALS[1])}
+    found = guess(tmp_path, {"t": TIME, "hip q deg": np.degrees(HIP)} | goals)
+    assert {entry["unit"] for entry in found.mapping["ctrl"].values()} == {"deg"}
+
+
 def test_an_imu_may_be_on_another_body(tmp_path: Path) -> None:
     """Its turns are a warning for a check of logs, and refuse nothing."""
     columns = {"t": TIME, "hip q": HIP, "knee q": KNEE}

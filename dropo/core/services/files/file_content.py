@@ -12,6 +12,8 @@ from dropo.core.services.errors import BadEntry, BadFile, InvalidInput
 
 ALIKE = 0.5
 """Share of two names that must be the same for them to be near (Ratcliff and Obershelp)."""
+BEGUN = 4
+"""Letters from which on a name may be the beginning of another."""
 LISTED = 12
 """Valid names that a message lists where none is near."""
 SHOWN = 80
@@ -153,9 +155,14 @@ def describe_value(value: object) -> str:
 
 
 def _similarity(option: str, value: object) -> float:
-    """Share of two names that is the same; 0 for what is no name."""
+    """Share of two names that is the same; 0 for what is no name.
+
+    A name that begins as another one, in `BEGUN` letters or more, is most of it.
+    """
     if not isinstance(value, str):
         return 0.0
+    if len(value) >= BEGUN and option.startswith(value):
+        return 1.0
     return difflib.SequenceMatcher(None, option, value).ratio()
 
 
