@@ -3,11 +3,10 @@
 python benchmarks/diagnosis.py                        the hopper, half-cheetah, walker and an arm
 python benchmarks/diagnosis.py hopper one 3100 3101   one machine, one case, some seeds
 
-Cases are those of the study of hidden effects, and "far-off": an arm on a desk that lacks several
-things at once. Steps count as the diagnosis counts them, and as evaluations of the equations of
-motion, of which Runge and Kutta take four a step. Repeats are simulations of a window that were
-made before, with the same numbers from the same start. With one thread, all seconds are processor
-time.
+Cases are those of the study of hidden effects. Steps count as the diagnosis counts them, and as
+evaluations of the equations of motion, of which Runge and Kutta take four a step. Repeats are
+simulations of a window that were made before, with the same numbers from the same start. With one
+thread, all seconds are processor time.
 """
 
 import argparse
@@ -39,7 +38,7 @@ STAGES = {
     ("quick", "*"): "regression",
     ("search", "FarOffSearch"): "whole motions",
     ("window_length", "*"): "length of windows",
-    ("arithmetic", "*"): "other steps as rivals",
+    ("arithmetic", "*"): "more exact steps",
     ("selection", "begin"): "the model as it is",
     ("screening", "*"): "screening",
     ("selection", "only_by_feedback"): "single steps",

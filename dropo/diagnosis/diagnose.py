@@ -302,9 +302,9 @@ class Diagnose:
         if start is None:
             return None, 0
         explained = FarOffSearch(settings.motions, progress, log).run(start.model, start.whole)
-        # Without an effect that is told from nothing, motions do not bear out the regression.
-        told = explained.certain & {instance.label for instance, _ in explained.model.numbers}
-        if explained.interrupted or (told and (start.sure or explained.fits)):
+        # Without an effect that is certain, motions do not bear out the regression.
+        certain = explained.certain & {instance.label for instance, _ in explained.model.numbers}
+        if explained.interrupted or (certain and (start.sure or explained.fits)):
             return explained, 0
         return None, explained.simulator_steps
 
@@ -768,7 +768,7 @@ class _Setup:
     refused: by their labels, effects that are no causes, with why, a sentence each.
     won: what its steps gained over the model's own [nats]; 0 if they are those.
     worse: by their labels, effects with which errors after some horizon are larger.
-    in_vain: simulator steps of a search by whole motions that told nothing.
+    in_vain: simulator steps of a search by whole motions that found nothing certain.
     """
 
     problem: Problem

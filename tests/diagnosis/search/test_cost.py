@@ -138,7 +138,7 @@ def test_a_fit_that_changed_nothing_is_not_linearized_anew(arm):
     assert renewed.linearized_at[0] is far
 
 
-def test_motions_that_tell_nothing_are_counted(monkeypatch):
+def test_motions_without_a_certain_effect_are_counted(monkeypatch):
     """Whole motions without a certain effect are no answer, and their steps are part of the cost.
     Control: with one they are.
     """
@@ -153,10 +153,10 @@ def test_motions_that_tell_nothing_are_counted(monkeypatch):
 
     start = SimpleNamespace(model=None, whole=None, sure=True)
     monkeypatch.setattr(diagnose, "start_of", lambda *given: start)
-    for certain, answer in ((frozenset(), 123), (frozenset({effect.label}), 0)):
+    for certain, expected in ((frozenset(), 123), (frozenset({effect.label}), 0)):
         monkeypatch.setattr(FarOffSearch, "run", lambda *_, c=certain: explained(c))
-        told, in_vain = Diagnose()._explained(
+        answer, in_vain = Diagnose()._explained(
             found, NO_INDICES, (), lambda *_: None, EvaluationLog()
         )
-        assert (told is None) == (not certain)
-        assert in_vain == answer
+        assert (answer is None) == (not certain)
+        assert in_vain == expected
