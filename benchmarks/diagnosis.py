@@ -12,7 +12,7 @@ thread, all seconds are processor time.
 import argparse
 import sys
 import time
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -24,6 +24,7 @@ from threadpoolctl import threadpool_limits
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from dropo import Diagnose
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.records.trajectories import Segments
 from dropo.core.services.validation import Array
@@ -80,7 +81,7 @@ class Stages:
         self.operations: Counter[str] = Counter()
         self.evaluations: Counter[str] = Counter()
         self.repeats: Counter[str] = Counter()
-        self.seconds: Counter[str] = Counter()
+        self.seconds: defaultdict[str, float] = defaultdict(float)
         self.seen: set[Any] = set()
 
     def add(self, other: "Stages") -> None:
@@ -89,7 +90,8 @@ class Stages:
         self.operations.update(other.operations)
         self.evaluations.update(other.evaluations)
         self.repeats.update(other.repeats)
-        self.seconds.update(other.seconds)
+        for stage, seconds in other.seconds.items():
+            self.seconds[stage] += seconds
 
     def note(
         self,
@@ -169,7 +171,7 @@ def counted() -> Iterator[Stages]:
 
 def measured(machine: str, case: str, seed: int) -> tuple[Stages, dict[str, Any]]:
     """A run of the study: where its steps went, and what was said."""
-    bare = study.Diagnose.run
+    bare = Diagnose.run
     kept: list[Stages] = []
     spent: list[float] = []
 
@@ -181,11 +183,11 @@ def measured(machine: str, case: str, seed: int) -> tuple[Stages, dict[str, Any]
         kept.append(stages)
         return answer
 
-    study.Diagnose.run = run  # type: ignore[method-assign]
+    Diagnose.run = run  # type: ignore[method-assign]
     try:
         said = study.run([machine, case, seed])
     finally:
-        study.Diagnose.run = bare  # type: ignore[method-assign]
+        Diagnose.run = bare  # type: ignore[method-assign]
     return kept[0], {**said, "seconds": spent[0]}
 
 
