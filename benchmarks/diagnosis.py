@@ -3,17 +3,16 @@
 python benchmarks/diagnosis.py                        the hopper, half-cheetah, walker and an arm
 python benchmarks/diagnosis.py hopper one 3100 3101   one machine, one case, some seeds
 
-Cases are those of the study of hidden effects, and "far-off": an arm on a desk that lacks several
-things at once. Steps count as the diagnosis counts them, and as evaluations of the equations of
-motion, of which Runge and Kutta take four a step. Repeats are simulations of a window that were
-made before, with the same numbers from the same start. With one thread, all seconds are processor
-time.
+Cases are those of the study of hidden effects. Steps count as the diagnosis counts them, and as
+evaluations of the equations of motion, of which Runge and Kutta take four a step. Repeats are
+simulations of a window that were made before, with the same numbers from the same start. With one
+thread, all seconds are processor time.
 """
 
 import argparse
 import sys
 import time
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -25,6 +24,7 @@ from threadpoolctl import threadpool_limits
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from dropo import Diagnose
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.records.trajectories import Segments
 from dropo.core.services.validation import Array
@@ -39,7 +39,7 @@ STAGES = {
     ("quick", "*"): "regression",
     ("search", "FarOffSearch"): "whole motions",
     ("window_length", "*"): "length of windows",
-    ("arithmetic", "*"): "other steps as rivals",
+    ("arithmetic", "*"): "more exact steps",
     ("selection", "begin"): "the model as it is",
     ("screening", "*"): "screening",
     ("selection", "only_by_feedback"): "single steps",
@@ -81,7 +81,7 @@ class Stages:
         self.operations: Counter[str] = Counter()
         self.evaluations: Counter[str] = Counter()
         self.repeats: Counter[str] = Counter()
-        self.seconds: Counter[str] = Counter()
+        self.seconds: defaultdict[str, float] = defaultdict(float)
         self.seen: set[Any] = set()
 
     def add(self, other: "Stages") -> None:
@@ -90,7 +90,8 @@ class Stages:
         self.operations.update(other.operations)
         self.evaluations.update(other.evaluations)
         self.repeats.update(other.repeats)
-        self.seconds.update(other.seconds)
+        for stage, seconds in other.seconds.items():
+            self.seconds[stage] += seconds
 
     def note(
         self,
@@ -170,7 +171,7 @@ def counted() -> Iterator[Stages]:
 
 def measured(machine: str, case: str, seed: int) -> tuple[Stages, dict[str, Any]]:
     """A run of the study: where its steps went, and what was said."""
-    bare = study.Diagnose.run
+    bare = Diagnose.run
     kept: list[Stages] = []
     spent: list[float] = []
 
@@ -182,11 +183,11 @@ def measured(machine: str, case: str, seed: int) -> tuple[Stages, dict[str, Any]
         kept.append(stages)
         return answer
 
-    study.Diagnose.run = run  # type: ignore[method-assign]
+    Diagnose.run = run  # type: ignore[method-assign]
     try:
         said = study.run([machine, case, seed])
     finally:
-        study.Diagnose.run = bare  # type: ignore[method-assign]
+        Diagnose.run = bare  # type: ignore[method-assign]
     return kept[0], {**said, "seconds": spent[0]}
 
 

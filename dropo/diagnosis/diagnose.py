@@ -307,9 +307,9 @@ class Diagnose:
         steps of a search that was in vain.
         """
         explained = FarOffSearch(self.settings.motions, progress, log).run(start.model, start.whole)
-        # Without an effect that is told from nothing, motions do not bear out the regression.
-        told = explained.certain & {instance.label for instance, _ in explained.model.numbers}
-        if explained.interrupted or (told and (start.sure or explained.fits)):
+        # Without an effect that is certain, motions do not bear out the regression.
+        certain = explained.certain & {instance.label for instance, _ in explained.model.numbers}
+        if explained.interrupted or (certain and (start.sure or explained.fits)):
             return explained, 0
         return None, explained.simulator_steps
 
@@ -818,6 +818,7 @@ class _Setup:
     won: what its steps gained over the model's own [nats]; 0 if they are those.
     worse: by their labels, effects with which errors after some horizon are larger.
     compared: whether sets of effects were compared, and a better one was found.
+    in_vain: simulator steps of a search by whole motions that found nothing certain.
     """
 
     problem: Problem

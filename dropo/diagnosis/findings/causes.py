@@ -12,7 +12,7 @@ from dropo.core.numerics.robust_covariance import few_units_sandwich
 from dropo.core.numerics.tails import student_tail
 from dropo.core.services.tables import number
 from dropo.core.services.validation import Array
-from dropo.diagnosis.findings.limits.experiment import Experiment, experiment
+from dropo.diagnosis.findings.limits.experiment import Experiment, experiments
 from dropo.diagnosis.laws.discovery import FoundLaw
 from dropo.diagnosis.parts import (
     Alternative,
@@ -229,10 +229,10 @@ def _alternatives(
 ) -> tuple[Alternative, ...]:
     """The effects that the data cannot distinguish from one, why, and what to record to do so."""
     alternatives = []
+    tried = [(other.instance, other.magnitudes) for _, other, _ in others[: settings.experiments]]
+    found_motions = experiments(library, last, instance, tried)
     for i, (own, other, why) in enumerate(others):
-        proposed = None
-        if i < settings.experiments:
-            proposed = experiment(library, last, instance, other.instance, other.magnitudes)
+        proposed = found_motions[i] if i < len(tried) else None
         regime = None
         if found.origin is not None:
             regime = _difference(library, found.origin.before, own, other)

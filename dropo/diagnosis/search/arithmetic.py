@@ -14,9 +14,14 @@ import numpy as np
 from dropo.core.services.files.evaluation_log import EvaluationLog
 from dropo.core.services.validation import Array
 from dropo.diagnosis.search.confirmation import SelectionSettings, has_less_noise, is_confirmed
-from dropo.diagnosis.search.linearization import Library, linearize, shift_linearization
+from dropo.diagnosis.search.linearization import (
+    Library,
+    LinearizedWindows,
+    linearize,
+    shift_linearization,
+)
 from dropo.diagnosis.search.record import Sides, recorded_sides
-from dropo.diagnosis.search.refit import NO_INDICES, refit, settle
+from dropo.diagnosis.search.refit import refit, settle
 from dropo.diagnosis.search.trials import State, penalized_log_likelihood
 from dropo.mjmodel.options import integrator
 from dropo.mjmodel.robot_simulator import RobotSimulator
@@ -168,18 +173,16 @@ class ArithmeticAlternatives:
         simulator = self.library.simulator
         if not isinstance(simulator, RobotSimulator) or simulator.control_step is None:
             return False
-        arithmetic, promise = self._most_promising(simulator, state)
-        if not np.isfinite(promise):
-            return False
-        # Along the way what promises nothing is not fitted; where all begins and ends, it is.
-        if promise < 0 and state.accepted and found is not None:
-            return False
         gained = float((state.test.log_likelihood - self.first.test.log_likelihood).sum())
         needed = self.selection.needed_gain(len(alternatives_of(simulator, self.settings)))
         needed = max(needed, self.selection.minimum_fraction * gained)
         before = penalized_log_likelihood(state)
         of_effect = 0.0 if found is None else penalized_log_likelihood(found) - before
         least = max(of_effect, self.settings.further * self.won)
+        # What promises too little on some of the windows to fit is not tried; both sides gain.
+        arithmetic, promise = self._most_promising(simulator, state)
+        if not promise > self.selection.alternative_fraction * max(needed, 0.5 * least):
+            return False
 
         def is_better(alternative: State, least: float) -> bool:
             """Whether windows held out confirm an alternative, and it gains enough on all."""
@@ -199,23 +202,32 @@ class ArithmeticAlternatives:
         return True
 
     def _most_promising(self, simulator: RobotSimulator, state: State) -> tuple[Arithmetic, float]:
-        """The cheapest alternative that gains nearly as much as any on some of the windows to fit,
-        and its gain.
+        """The cheapest alternative that gains nearly as much as any on the windows to fit, and its
+        gain.
 
-        Nothing is fitted but the noise. The gain is -inf where none is known.
+        By some of the windows, with the Jacobian as it is. The gain is -inf where none is known.
         """
-        some = state.train
-        count = len(some.windows)
-        if count >= self.settings.stride * self.settings.fewest:
-            some = some.take(np.arange(0, count, self.settings.stride))
-        own = settle(self.library, some, NO_INDICES, self.floor, rounds=1)
-        before = float(own.log_likelihood.sum())
+        train = state.train
+        index = np.arange(len(train.windows))
+        if len(index) >= self.settings.stride * self.settings.fewest:
+            index = index[:: self.settings.stride]
+        some = train.take(index)
+        known = self._jacobian(state)[:, index]
+
+        def fitted(library: Library, begun: LinearizedWindows) -> float:
+            """The log-likelihood of these windows, fitted by what the model fits."""
+            settings = self.selection.refit
+            free = state.free
+            found = settle(library, begun, free, self.floor, known=known, settings=settings)
+            return float(found.log_likelihood.sum())
+
+        before = fitted(self.library, some)
         gains = []
         for arithmetic in alternatives_of(simulator, self.settings):
             library = self._library(arithmetic.of(simulator))
-            train = shift_linearization(library, some, state.theta, some.whiten.noise)
-            train = settle(library, train, NO_INDICES, self.floor, rounds=1)
-            gains.append((arithmetic, float(train.log_likelihood.sum()) - before))
+            begun = shift_linearization(library, some, state.theta, some.whiten.noise)
+            gain = fitted(library, begun) - before
+            gains.append((arithmetic, gain * len(train.windows) / len(index)))
             simulator.steps += library.simulator.steps
         # Where a model loses the motion there may be no likelihood at all.
         finite = [(one, gain) for one, gain in gains if np.isfinite(gain)]
@@ -225,12 +237,15 @@ class ArithmeticAlternatives:
         enough = largest - (1 - self.settings.nearly) * abs(largest)
         return next((one, gain) for one, gain in finite if gain >= enough)
 
+    def _jacobian(self, state: State) -> Array:
+        """By what a model fits, in its own steps: more exact ones hardly change it."""
+        return self.library.kept_jacobian(state.theta, state.free, state.train.windows)
+
     def _tried(self, simulator: RobotSimulator, arithmetic: Arithmetic, state: State) -> State:
         """A model in other steps, the linearization in the start's noise as it is."""
         library = self._library(arithmetic.of(simulator))
         settings = self.selection.refit
-        # More exact steps hardly change the Jacobian.
-        known = self.library.kept_jacobian(state.theta, state.free, state.train.windows)
+        known = self._jacobian(state)
 
         def fit() -> Sides:
             noise = state.train.whiten.noise

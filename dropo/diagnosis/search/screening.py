@@ -25,6 +25,7 @@ from dropo.diagnosis.search.linearization import (
     whitener,
 )
 from dropo.diagnosis.search.record import recorded
+from dropo.diagnosis.search.windows import Windows
 
 Probe = tuple[tuple[float, ...], ...]
 """t vectors of changes of an effect's q magnitudes, along which one score test is made together."""
@@ -385,32 +386,31 @@ class Screening:
     ) -> None:
         """Simulate the responses that are missing, and add them.
 
-        Of an effect that sets in or grows, the effect that always holds is simulated: a window
-        responds with the part that holds there.
+        Of an effect that sets in, the effect that always holds is simulated: a window responds as
+        to that, or not at all.
         """
         missing: dict[tuple[str, Probe], ProbedEffect] = {}
-        in_part: list[tuple[ProbedEffect, ProbedEffect]] = []
+        set_in: list[tuple[ProbedEffect, ProbedEffect, Array]] = []
         for instance, probe in probed:
             if (instance.label, probe) in responses:
                 continue
             simulated = (instance, probe)
             constant = self._constant(instance)
             if constant is not None:
-                count = len(constant.quantities)
-                simulated = (constant, tuple(magnitudes[:count] for magnitudes in probe))
-                in_part.append(((instance, probe), simulated))
+                parts = _parts(linearized.windows, instance, probe)
+                if np.isin(parts, (0.0, 1.0)).all():
+                    count = len(constant.quantities)
+                    simulated = (constant, tuple(magnitudes[:count] for magnitudes in probe))
+                    set_in.append(((instance, probe), simulated, parts))
             key = (simulated[0].label, simulated[1])
             if key not in responses:
                 missing[key] = simulated
         self._simulate(linearized, list(missing.values()), responses)
-        segments = linearized.windows.segments
-        for (instance, probe), (constant, whole) in in_part:
-            profile: Any = instance.time_profile
-            parts = np.stack([profile(segments, np.array(one)) for one in probe])
+        for (instance, probe), (constant, whole), parts in set_in:
             responses[instance.label, probe] = parts[:, :, None] * responses[constant.label, whole]
 
     def _constant(self, instance: EffectInstance) -> EffectInstance | None:
-        """The effect that always holds of one that sets in or grows; None where there is none."""
+        """The effect that always holds of one with a time profile; None where there is none."""
         if instance.time_profile is None:
             return None
         labels = (one for one in self.library.instances if one.label == instance.target)
@@ -446,6 +446,12 @@ class Screening:
                 thetas.append(theta)
         within_bounds = np.clip(np.stack(thetas), space.low, space.high)
         return self.library.predict(within_bounds, linearized.windows)
+
+
+def _parts(windows: Windows, instance: EffectInstance, probe: Probe) -> Array:
+    """(t, W) the part of a probe's magnitudes that holds in each window."""
+    profile: Any = instance.time_profile
+    return np.stack([profile(windows.segments, np.array(magnitudes)) for magnitudes in probe])
 
 
 def _by_gain(scored: Scored) -> list[Candidate]:

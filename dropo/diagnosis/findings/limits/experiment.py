@@ -4,6 +4,7 @@ Smooth motions of several periods are simulated under both effects, at sizes at 
 velocities and forces stay within what was recorded and what the robot can do.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -187,36 +188,61 @@ def experiment(
     The difference is the length of the first effect's response without its projection on the
     other's, in units of the noise, window by window as the data are evaluated.
     """
+    return experiments(library, last, one, [(other, sizes)], settings)[0]
+
+
+def experiments(
+    library: Library,
+    last: State,
+    one: EffectInstance,
+    others: Sequence[tuple[EffectInstance, Array]],
+    settings: ExperimentSettings = SETTINGS,
+) -> list[Experiment | None]:
+    """Choose the motions under which an effect differs most from each of several.
+
+    Parameters
+    ----------
+    library, last, one, settings
+        As of `experiment`.
+    others : sequence of (EffectInstance, (q,) array)
+        The other effects with their magnitudes.
+
+    Returns
+    -------
+    list of Experiment or None
+        For each of the others; the motions are simulated once for all.
+    """
     windows = last.train.windows
     data = windows.segments.trajectories
     simulator = library.simulator
-    if not isinstance(simulator, RobotSimulator):
-        return None
+    best: list[Experiment | None] = [None] * len(others)
+    if not others or not isinstance(simulator, RobotSimulator):
+        return best
     commanded = np.any(np.ptp(data.actions, axis=0) > 0)
     if not commanded or len(simulator.signals) != data.observations.shape[1]:
-        return None
+        return best
 
-    # The model with everything; without the first effect; with the other in its place.
-    thetas = np.repeat(last.theta[None], 3, axis=0)
+    # The model with everything; without the first effect; with each other in its place.
+    thetas = np.repeat(last.theta[None], 2 + len(others), axis=0)
     thetas[1:, library.places[one.label]] = 0.0
-    thetas[2, library.places[other.label]] = sizes
+    for theta, (other, sizes) in zip(thetas[2:], others, strict=True):
+        theta[library.places[other.label]] = sizes
     sigma = last.train.whiten.sigma
 
     # What the recorded data say of the difference.
-    recorded = _responses(library, thetas, windows.segments, sigma).reshape(2, 1, -1)
-    now = float(_difference(recorded)[0] / windows.steps)
+    now = _differences(library, thetas, windows.segments, sigma) / windows.steps
 
     # What each candidate says, from measured starts.
     starts = _starts(data, settings)
-    best: Experiment | None = None
     for group in _candidates(simulator, windows.length, settings):
         admitted = _admitted(library, last, group, starts, settings)
         for tried, commands, states in admitted:
             segments = _windows(states, commands, windows.length)
-            responses = _responses(library, thetas, segments, sigma).reshape(2, 1, -1)
-            nats = float(_difference(responses)[0]) / len(starts)
-            if best is None or nats > best.nats:
-                best = replace(tried, nats=nats, now=now * tried.steps)
+            nats = _differences(library, thetas, segments, sigma) / len(starts)
+            for i, so_far in enumerate(best):
+                if so_far is None or nats[i] > so_far.nats:
+                    recorded = float(now[i]) * tried.steps
+                    best[i] = replace(tried, nats=float(nats[i]), now=recorded)
     return best
 
 
@@ -437,13 +463,14 @@ def _windows(states: Array, commands: Array, length: int) -> Segments:
     return data.segments(min(length, count), every_step=True)
 
 
-def _responses(library: Library, thetas: Array, segments: Segments, sigma: Array) -> Array:
-    """(2, rows, p) the response to each effect, in standard deviations of the noise.
-
-    0 where a simulation diverges.
+def _differences(library: Library, thetas: Array, segments: Segments, sigma: Array) -> Array:
+    """(k,) the nats between an effect, which the first of the models (2 + k, m) has and the second
+    has not, and each other of them; where a simulation diverges, nothing.
     """
-    with_one, without, with_other = library.simulator.predict(thetas, segments) / sigma
-    return np.asarray(np.nan_to_num(np.stack([with_one - without, with_other - without])))
+    with_one, without, *others = library.simulator.predict(thetas, segments) / sigma
+    first = np.nan_to_num(with_one - without).reshape(1, -1)
+    second = [np.nan_to_num(other - without).reshape(1, -1) for other in others]
+    return np.array([_difference(np.stack([first, one]))[0] for one in second])
 
 
 def _difference(responses: Array) -> Array:

@@ -12,6 +12,7 @@ from dropo.diagnosis.findings.limits.experiment import (
     _candidates,
     commands_of,
     experiment,
+    experiments,
     signal_limits,
 )
 from dropo.diagnosis.search.linearization import Library
@@ -45,6 +46,19 @@ def proposed(lagging):
     """What is to be recorded to tell the lag from the delay."""
     library, state = lagging
     return experiment(library, state, *library.instances, np.array([0.002]))
+
+
+def test_motions_are_simulated_once_for_several_effects(lagging, proposed):
+    """The same answers as one by one, for less than two thirds of the steps."""
+    library, state = lagging
+    lag, delay = library.instances
+    before = library.simulator.steps
+    alone = experiment(library, state, lag, delay, np.array([0.004]))
+    one = library.simulator.steps - before
+    pairs = [(delay, np.array([0.002])), (delay, np.array([0.004]))]
+    before = library.simulator.steps
+    assert experiments(library, state, lag, pairs) == [proposed, alone]
+    assert library.simulator.steps - before < 2 / 3 * 2 * one
 
 
 def states_of(library, state, found):
