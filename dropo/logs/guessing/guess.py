@@ -555,7 +555,7 @@ class _Guesser:
                 continue
             commands, places = self._columns.read([column, position[0]])
             there = np.isfinite(commands) & np.isfinite(places)
-            if np.ptp(commands[there]) > 0 and np.ptp(places[there]) > 0:
+            if there.any() and np.ptp(commands[there]) > 0 and np.ptp(places[there]) > 0:
                 pairs.append(np.stack([commands[there], places[there]]))
                 alike.append(float(np.corrcoef(*pairs[-1])[0, 1]))
         if not alike:
