@@ -193,7 +193,7 @@ class MujocoSimulator(RobotSimulator):
         Parameters
         ----------
         effects : sequence of EffectInstance
-            They take the place of the fixed effects of their labels; their magnitudes are
+            Each takes the place of the last fixed effect of its label; their magnitudes are
             parameters.
 
         Returns
@@ -201,10 +201,12 @@ class MujocoSimulator(RobotSimulator):
         MujocoSimulator
             A new one, whose counts of steps and failures begin at 0.
         """
-        labels = {instance.label for instance in effects}
         out = self.with_effects(effects)
-        kept = tuple(pair for pair in self.fixed if pair[0].label not in labels)
-        out._set_effects(out.effects, kept)
+        kept = dict(enumerate(self.fixed))
+        for effect in effects:
+            own = [i for i, (instance, _) in kept.items() if instance.label == effect.label]
+            del kept[max(own)]
+        out._set_effects(out.effects, tuple(kept.values()))
         return out
 
     def with_finer_steps(self, times: int) -> "MujocoSimulator":
