@@ -183,7 +183,7 @@ class RobotSimulator(Simulator):
         Parameters
         ----------
         effects : sequence of EffectInstance
-            They take the place of the fixed effects of their labels; their magnitudes are
+            Each takes the place of the last fixed effect of its label; their magnitudes are
             parameters.
 
         Returns

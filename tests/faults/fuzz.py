@@ -83,10 +83,17 @@ class Case:
 FIT = ("fit", "problem.yaml", "--method", "uniform-randomization", "--out", "new", "--quiet")
 PLAY = ("evaluate", "policy", "--on", "problem.yaml", "--episodes", "1", "--steps", "2", "--trust")
 INTO = ("--out", "new/data.npz")
+INIT = ("init", "robot.xml", "log.csv", "--out", "new", "--quiet")
+SEARCH = ("--effects", "joint_friction:slide", "actuator_gain:push", "--steps", "2")
+VARIANT = ("--method", "uniform-randomization", "--seeds", "1", "--quiet")
+AGAIN = ("problem.yaml", "--out", "new", "--quiet")
+PROBLEM_FILES = ("problem.yaml", "data.npz", "robot.xml")
+EXTENDED = ("problem.yaml", "data.npz", "model.xml", "model.npz", "model.py")
+DIAGNOSED = ("checked/diagnosis.json", *(f"checked/extended/{name}" for name in EXTENDED))
 RUN = ("fit.json", "fit.npz", "run.json", "made.json", "predictions.npz", "evaluations.jsonl")
 CASES = (
-    Case(("problem.yaml", "data.npz", "robot.xml"), FIT, 4),
-    Case(("problem.yaml", "data.npz", "robot.xml"), ("data", "check", "problem.yaml"), 2),
+    Case(PROBLEM_FILES, FIT, 4),
+    Case(PROBLEM_FILES, ("data", "check", "problem.yaml"), 2),
     Case(("data.npz",), ("data", "describe", "data.npz"), 2),
     Case(
         ("log.csv", "map.yaml", "robot.xml"),
@@ -109,6 +116,16 @@ CASES = (
         ("found/diagnosis.json", "found/run.json", "found/made.json"),
         ("report", "found", "--out", "new.html"),
     ),
+    Case(("log.csv", "map.yaml", "robot.xml"), (*INIT, "--map", "map.yaml"), 3),
+    Case(("log.csv", "robot.xml"), INIT, 2),
+    Case(PROBLEM_FILES, ("diagnose", "problem.yaml", *SEARCH, "--out", "new", "--quiet"), 2),
+    Case(DIAGNOSED, ("verify", "checked"), 4),
+    Case(DIAGNOSED, ("export", "checked", "--to", "mujoco", "--out", "new"), 2),
+    Case(("run/fit.json", "run/fit.npz"), ("export", "run", "--to", "bam", "--out", "new"), 2),
+    Case(PROBLEM_FILES, ("compare", "--problem", "problem.yaml", *VARIANT, "--out", "new")),
+    Case(PROBLEM_FILES, ("data", "states", "problem.yaml", "--out", "new")),
+    Case(PROBLEM_FILES, ("data", "actions", "problem.yaml", *INTO)),
+    Case(("run/fit.json", "run/fit.npz"), ("fit", *AGAIN, "--start", "run")),
 )
 
 
@@ -143,6 +160,7 @@ def build(folder: Path) -> None:
             ("fit", "problem.yaml", "--out", "run"),
             ("train", "problem.yaml", "--budget", "1", "--out", "policy", "--trust"),
             ("diagnose", "torque-arm", "--quick", *hidden),
+            ("diagnose", "problem.yaml", *SEARCH, "--out", "checked"),
         ):
             assert main([*command, "--quiet"]) == 0, command
 

@@ -1,4 +1,4 @@
-"""Lets commands fail at their file operations: a full disk, a kill, a line that is torn.
+"""Lets commands fail at their file operations: a full disk, a disk that fails, a kill, a torn line.
 
 `python tests/faults/operations.py --seed 0 --faults 500` runs every command in turn with a fault at
 an operation drawn at random; after each the same command must end as if nothing had been. It prints
@@ -13,6 +13,7 @@ import os
 import shutil
 import sys
 import tempfile
+import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -26,10 +27,9 @@ from dropo.core.services import registry
 from dropo.core.services.files.journal import read_lines
 from dropo.optimizers.samplers.emcee import Emcee
 from dropo.studies.engine.study import Study, Table
-from tests.faults.fuzz import build_inputs
+from tests.faults.fuzz import SEARCH, VARIANT, build_inputs
 
 FIT = ("fit", "problem.yaml", "--method")
-SEARCH = ("--effects", "joint_friction:slide", "actuator_gain:push", "--steps", "2")
 LOG = ("log.csv", "--map", "map.yaml", "--model", "robot.xml")
 COMMANDS = {
     "fit": (*FIT, "dropo"),
@@ -40,9 +40,14 @@ COMMANDS = {
     "recover": ("recover", "toy"),
     "train": ("train", "problem.yaml", "--budget", "3", "--trust"),
     "import": ("data", "import", *LOG),
+    "init": ("init", "robot.xml", "log.csv", "--map", "map.yaml"),
+    "compare": ("compare", "--problem", "problem.yaml", *VARIANT),
+    "export": ("export", "checked", "--to", "mujoco"),
+    "verify": ("verify", "checked"),
 }
 """By name, the commands that write into a folder, but for its option."""
-KINDS = ("full", "kill", "torn")
+KINDS = ("full", "failing", "kill", "torn")
+ERRORS = {"full": errno.ENOSPC, "failing": errno.EIO}
 KILLED = 137
 UNTOUCHED = 77
 """The exit status of a run that had fewer operations."""
@@ -94,8 +99,6 @@ class Operations:
         function = getattr(owner, name)
 
         def counted(*given: Any, **named: Any) -> Any:
-            if name == "open" and not set("wa+") & set("".join(map(str, given[1:2]))):
-                return function(*given, **named)
             self.count += 1
             if self.count == self.at:
                 self._fail(name, given)
@@ -104,8 +107,10 @@ class Operations:
         setattr(owner, name, counted)
 
     def _fail(self, name: str, given: tuple[Any, ...]) -> None:
-        if self.kind == "full":
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        if self.kind in ERRORS:
+            reads = name == "open" and not set("wa+") & set("".join(map(str, given[1:2])))
+            number = errno.EIO if reads else ERRORS[self.kind]  # a full disk can be read
+            raise OSError(number, os.strerror(number))
         if self.kind == "torn" and name == "fsync":
             size = os.fstat(given[0]).st_size
             os.ftruncate(given[0], max(size - TORN, 0))
@@ -126,6 +131,7 @@ def in_child(function: Callable[[], int], silent: Path) -> int:
 def run(command: tuple[str, ...], operations: Operations) -> int:
     """The exit status of a command whose operations are counted, and may fail."""
     os.fsync = lambda file: None  # no fault here loses what the system holds
+    time.thread_time = lambda: 0.0  # which stands in comparisons
     for name in ("open", "replace", "mkdir", "unlink"):
         operations.wrap(Path, name)
     operations.wrap(os, "fsync")
@@ -161,8 +167,8 @@ class Attacked:
         self.name = name
         self.said = said
         out = "out/data.npz" if name == "import" else "out"
-        threads = () if name == "import" else ("--threads", "1")
-        self.command = (*COMMANDS[name], *threads, "--out", out)
+        into = () if name == "verify" else ("--out", out)
+        self.command = (*COMMANDS[name], "--threads", "1", *into)
         status = self._run(Operations(0, ""))
         assert status == 0, f"{name}: {said.read_text()}"
         self.whole = results()
@@ -174,9 +180,9 @@ class Attacked:
         status = self._run(Operations(at, kind))
         text = self.said.read_text()
         wrong = []
-        if kind == "full" and status not in (0, 1):
+        if kind in ERRORS and status not in (0, 1):
             wrong.append(f"{label}: status {status}: {text}")
-        if "Traceback" in text or (kind == "full" and text.count("dropo: ") > 1):
+        if "Traceback" in text or (kind in ERRORS and text.count("dropo: ") > 1):
             wrong.append(f"{label}: {text}")
         status = self._run(Operations(0, ""), new=False)
         found = results()
@@ -218,6 +224,8 @@ if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as folder:
         build_inputs(Path(folder))
         os.chdir(folder)
+        checked = ("diagnose", "problem.yaml", *SEARCH, "--out", "checked", "--quiet")
+        assert main(list(checked)) == 0
         chosen = [given.command] if given.command else list(COMMANDS)
         attack(chosen, given.faults, np.random.default_rng(given.seed))
     sys.exit(0)

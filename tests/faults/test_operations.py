@@ -11,9 +11,9 @@ SCRIPT = Path(__file__).with_name("operations.py")
 
 @pytest.mark.slow
 def test_file_operations() -> None:
-    """A full disk is one line and status 1; after it, after a kill and after a write that was torn,
-    all that the folder holds is what an undisturbed run leaves: of fits, posteriors, diagnoses,
-    studies, trainings and imports.
+    """A disk that is full or fails is one line and status 1; after it, after a kill and after a
+    write that was torn, all that the folder holds is what an undisturbed run leaves: of fits,
+    posteriors, diagnoses, studies, comparisons, trainings, imports, exports, new robots.
     """
     command = [sys.executable, str(SCRIPT), "--seed", "0", "--faults", "16"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=400)

@@ -86,3 +86,31 @@ def test_nothing_missing_is_verified_too(tmp_path):
     assert main(["diagnose", str(path), *SOME, "--out", str(out), "--quiet"]) == 0
     assert json.loads((out / "diagnosis.json").read_text())["verdict"] == "consistent"
     assert verify(out).holds
+
+
+def test_broken_numbers_are_refused(copied, capsys):
+    """A number of another type, a text that is no UTF-8, code that does not run: one line each."""
+    kept = copied / "extended" / "model.npz"
+    numbers = dict(np.load(kept))
+    np.savez(kept, **{**numbers, "opt.disableflags": np.array(1.5)})
+    assert main(["verify", str(copied)]) == 2
+    np.savez(kept, **numbers)
+    code = copied / "extended" / "model.py"
+    code.write_bytes(code.read_bytes() + b"# \xff\n")
+    assert main(["verify", str(copied)]) == 2
+    code.write_text("robot = ")
+    assert main(["verify", str(copied), "--trust"]) == 2
+    told = capsys.readouterr().err
+    assert told.count("\n") == 3
+    assert told.count("expected") == 3
+
+
+def test_a_model_that_diverges_is_off(copied, tmp_path, monkeypatch, capfd):
+    """It is no error, and MuJoCo neither prints nor writes its log file."""
+    kept = copied / "extended" / "model.npz"
+    numbers = dict(np.load(kept))
+    np.savez(kept, **numbers, dof_damping=np.array([-1e9, -1e9]))
+    monkeypatch.chdir(tmp_path)
+    assert main(["verify", str(copied)]) == 1
+    assert capfd.readouterr().err == ""
+    assert not (tmp_path / "MUJOCO_LOG.TXT").exists()

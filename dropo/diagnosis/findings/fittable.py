@@ -54,14 +54,14 @@ def fittable(
         return None
     robot = robot_of(problem)
     named = {(cause.effect, cause.target, cause.variant): cause for cause in causes}
-    free = []
+    free = {}
     for instance, sizes in robot.fixed:
         cause = named.get((instance.effect, instance.target, instance.variant))
-        if cause is not None:
-            free.append(_bounded(instance, sizes, cause, settings))
+        if cause is not None:  # of one that the problem had too, what was found is the last
+            free[instance.label] = _bounded(instance, sizes, cause, settings)
     if not free:
         return None
-    return replace(problem, simulator=robot.with_fitted(free))
+    return replace(problem, simulator=robot.with_fitted(list(free.values())))
 
 
 def _bounded(

@@ -310,7 +310,7 @@ def command_unit(commands: Array, logged: Array, hint: str | None, position: Sca
     Parameters
     ----------
     commands, logged : (n,) arrays
-        Commands, and measured positions as they were logged.
+        Commands, and measured positions as they were logged; none where no row has both.
     hint : str or None
         The unit that the column's name says.
     position : Scale
@@ -325,6 +325,8 @@ def command_unit(commands: Array, logged: Array, hint: str | None, position: Sca
     si = UNITS[position.unit][0]
     if hint in UNITS and UNITS[hint][0] == si:
         return Scale(hint, "its name says so")
+    if not len(commands):
+        return Scale(position.unit, "no row has both", position.offset)
     measured = UNITS[position.unit][1] * (position.sign * logged + position.offset)
 
     def distance(unit: str) -> float:

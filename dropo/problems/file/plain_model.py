@@ -33,6 +33,8 @@ HOOKS = (
     "wrench",
 )
 """The hooks of effects that act on a plain model in each step."""
+BROKEN = (AttributeError, EOFError, KeyError, OSError, TypeError, ValueError, BadZipFile)
+"""What numbers of another kind or shape, and files that were cut off, end in."""
 SENSOR = ("start", "measurement", "sensor_delay")
 """Those that act on what is measured alone."""
 HEADER = '''"""A robot in plain MuJoCo.
@@ -209,7 +211,8 @@ def read_plain_model(path: Path, expected: str, trusted: bool) -> str:
     BadFile
         If there is no such file, or it is something else and not trusted.
     """
-    text = path.read_text(encoding="utf-8") if path.is_file() else None
+    # What is no UTF-8 is no text that was written here.
+    text = path.read_text(encoding="utf-8", errors="replace") if path.is_file() else None
     if text is None:
         raise BadFile(path, "", "a model in plain MuJoCo, written by `dropo diagnose --out`", None)
     if text != expected and not trusted:
@@ -232,9 +235,17 @@ def run_plain_model(text: str, path: Path) -> SimpleNamespace:
     -------
     SimpleNamespace
         What it defines: `load`, `Robot`, `EFFECTS`, ...
+
+    Raises
+    ------
+    BadFile
+        If it ends in an error, as text that was changed may.
     """
     scope: dict[str, Any] = {"__name__": "model", "__file__": str(path)}
-    exec(compile(text, str(path), "exec"), scope)
+    try:
+        exec(compile(text, str(path), "exec"), scope)
+    except Exception as error:
+        raise BadFile(path, "", "Python that runs", repr(error)) from error
     return SimpleNamespace(**scope)
 
 
@@ -260,7 +271,7 @@ def load_robot(plain: SimpleNamespace, path: Path) -> Robot:
     """
     try:
         robot: Robot = plain.load()
-    except (AttributeError, EOFError, KeyError, OSError, ValueError, BadZipFile) as error:
+    except BROKEN as error:
         rule = "model.xml and model.npz as `dropo diagnose --out` writes them"
         raise BadFile(path.parent, "", rule, error) from None
     return robot

@@ -15,6 +15,7 @@ from dropo.core.services.validation import Array
 from dropo.evaluation.held_out import errors_of, held_out_part, held_out_windows
 from dropo.mjmodel.numbers import changed_numbers
 from dropo.mjmodel.options import physics_step
+from dropo.mjmodel.warnings import suppress_mujoco_warnings
 from dropo.problems.file.plain_model import (
     active_effects,
     format_plain_model,
@@ -171,7 +172,8 @@ def verify(folder: str | Path, *, trusted: bool = False) -> Verification:
         windows = held_out_windows(part, announced["steps"])
         if announced["rmse"] is None or not len(windows):
             continue
-        predicted = rollout.predict(windows)
+        with suppress_mujoco_warnings():
+            predicted = rollout.predict(windows)
         spread = np.ones(len(simulator.signals))
         (found,) = errors_of(simulator, predicted[None], windows, spread)
         scale = np.abs(simulator.targets(windows)).max()

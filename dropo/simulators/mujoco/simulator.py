@@ -169,10 +169,12 @@ class MujocoSimulator(RobotSimulator):
         return out
 
     def with_fitted(self, effects: Sequence[EffectInstance]) -> "MujocoSimulator":
-        labels = {instance.label for instance in effects}
         out = self.with_effects(effects)
-        kept = tuple(pair for pair in self.fixed if pair[0].label not in labels)
-        out._set_effects(out.effects, kept)
+        kept = dict(enumerate(self.fixed))
+        for effect in effects:
+            own = [i for i, (instance, _) in kept.items() if instance.label == effect.label]
+            del kept[max(own)]
+        out._set_effects(out.effects, tuple(kept.values()))
         return out
 
     def with_finer_steps(self, times: int) -> "MujocoSimulator":

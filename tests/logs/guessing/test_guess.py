@@ -544,3 +544,12 @@ def test_a_column_of_texts_is_no_number(tmp_path: Path) -> None:
     (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
     found = guess_mapping(open_log(tmp_path / "log.csv"), robot())
     assert columns_of(found, "qpos") == {"left_hip": "hip q", "left_knee": "knee q"}
+
+
+def test_commands_that_never_stand_beside_positions(tmp_path: Path) -> None:
+    """Rows that hold the one or the other: how joints follow commands is then not known."""
+    even = np.arange(len(TIME)) % 2 == 0
+    measured = np.where(even, HIP, np.nan)
+    commanded = np.where(even, np.nan, GOALS[0])
+    found = guess(tmp_path, {"t": TIME, "left_hip_pos": measured, "left_hip_cmd": commanded})
+    assert columns_of(found, "qpos") == {"left_hip": "left_hip_pos"}
