@@ -60,7 +60,13 @@ class FarOffModel:
         return self.arithmetic.of(robot_of(self.problem).with_effects(self.library.instances))
 
     def in_exact_steps(self) -> "FarOffModel":
-        """The model whose own steps are those by which motions are evaluated."""
+        """Make the model whose own steps are those by which motions are evaluated.
+
+        Returns
+        -------
+        FarOffModel
+            Itself where they are its own already.
+        """
         if self.arithmetic is None:
             return self
         simulator = self.arithmetic.of(robot_of(self.problem))
