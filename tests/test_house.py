@@ -117,3 +117,22 @@ def test_no_path_of_a_machine():
         found = [line[:100] for line in path.read_text().splitlines() if MACHINE.search(line)]
         lines += [(path.name, line) for line in found if path.name != "MUJOCO_LOG.TXT"]
     assert lines == []
+
+
+PAIRS = {"Point", "Uniform", "RandomEffects"}
+"""Names of two classes that are meant as a pair."""
+
+
+def class_names(sources):
+    """The names of all classes, one inside another too."""
+    nodes = (node for source in sources for node in ast.walk(ast.parse(source)))
+    return [node.name for node in nodes if isinstance(node, ast.ClassDef)]
+
+
+def test_a_class_has_a_name_of_its_own():
+    """But for the pairs that docs/architecture.md names; the control is a name given twice."""
+    assert class_names(["class A: ...", "class A:\n    class B: ..."]) == ["A", "A", "B"]
+    names = class_names(SOURCES.values())
+    assert {name for name in names if names.count(name) > 1} == PAIRS
+    page = (ROOT / "docs" / "architecture.md").read_text()
+    assert all(f"`{name}`" in page for name in PAIRS)

@@ -10,10 +10,10 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.support.fisher_scoring import maximize_locally
 from dropo.core.numerics.tails import chi2_quantile
 from dropo.core.records.fits.fit import Fit
-from dropo.core.records.parameters import ParameterSpace
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.registry import find
 from dropo.core.services.validation import Array, known, require
+from dropo.evaluation.held_unknowns import HeldUnknowns
 
 
 @dataclass(frozen=True)
@@ -175,54 +175,21 @@ def profile(
     unknowns = objective.unknowns
     start = unknowns.clip(_start(objective, fit))
     top = maximize_locally(objective, start)
-    places = [unknowns.names.index(f"mean.{name}") for name in parameters]
+    means = [f"mean.{name}" for name in parameters]
+    places = [unknowns.names.index(mean) for mean in means]
     grids = [_grid(objective, top.phi, place, points, width) for place in places]
 
     # At each point of the grid, everything else at its best.
     values = np.full([points] * len(places), -np.inf)
     for index in np.ndindex(*values.shape):
-        point = np.array([grid[i] for grid, i in zip(grids, index, strict=True)])
-        held = _Held(objective, top.phi, places, point)
+        point = [float(grid[i]) for grid, i in zip(grids, index, strict=True)]
+        held = HeldUnknowns(objective, dict(zip(means, point, strict=True)))
         if held.free.any():
             values[index] = maximize_locally(held, top.phi[held.free]).value
         else:
             values[index] = held.value_score_information(np.empty(0))[0]
     best = max(top.value, float(values.max()))
     return Profile(tuple(parameters), tuple(grids), values, best)
-
-
-class _Held(LocalLogLikelihood):
-    """A local log-likelihood with some of its unknowns held."""
-
-    def __init__(self, objective: LocalLogLikelihood, phi: Array, places: list[int], values: Array):
-        self.objective = objective
-        self.whole = phi.copy()
-        self.whole[places] = values
-        self.free = ~np.isin(np.arange(len(phi)), places)
-        unknowns = zip(objective.unknowns, self.free, strict=True)
-        self.unknowns = ParameterSpace(tuple(one for one, free in unknowns if free))
-
-    def _at(self, phi: Array) -> Array:
-        """All unknowns, from those that are not held."""
-        full = self.whole.copy()
-        full[self.free] = phi
-        return full
-
-    def value_score_information(self, phi: Array) -> tuple[float, Array, Array]:
-        value, scores, information = self.objective.value_score_information(self._at(phi))
-        return value, scores[:, self.free], information[np.ix_(self.free, self.free)]
-
-    def predict(self, values: Array) -> Array:
-        return self.objective.predict(values)
-
-    def _rows(self, phi: Array) -> Array:
-        return self.objective.rows(self._at(phi))
-
-    def epsilon(self, phi: Array) -> Array:
-        return self.objective.epsilon(self._at(phi))
-
-    def mean(self, phi: Array) -> Array:
-        return self.objective.mean(self._at(phi))
 
 
 def _local_likelihood(

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from dropo.core.contracts.likelihood import LocalLogLikelihood
-from dropo.core.contracts.support.fisher_scoring import maximize_locally
 from dropo.core.numerics.tails import chi2_tail
 from dropo.core.records.fits.fit_parts import VarianceComponentTests, VarianceTest
-from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
+from dropo.evaluation.held_unknowns import HeldUnknowns
 
 
 @dataclass(frozen=True)
@@ -78,19 +77,19 @@ def variance_component_tests(
     """
     scales = {f"scale.{name}": 0.0 for name in names}
     partials = {u: 0.0 for u in objective.unknowns.names if u.startswith("partial.")}
-    independent = _Held(objective, partials)
-    none = _Held(objective, scales | partials)
+    independent = HeldUnknowns(objective, partials)
+    none = HeldUnknowns(objective, scales | partials)
     nowhere = none.maximum(phi)
     information = _information_at_none(objective, none.whole(nowhere), settings.small)
     weights = boundary_weights(information, rng, settings)
     independent_value = restricted(independent, independent.maximum(phi))
     overall = _test(independent_value - restricted(none, nowhere), weights)
-    whole = _Held(objective, {})
+    whole = HeldUnknowns(objective, {})
     best = restricted(whole, whole.maximum(phi))
     parameters = {}
     for name in names:
         own = _correlations_of(name, names, partials)
-        without = _Held(objective, {f"scale.{name}": 0.0} | own)
+        without = HeldUnknowns(objective, {f"scale.{name}": 0.0} | own)
         mixture = np.eye(len(own) + 2)[-2:].mean(axis=0)
         gain = best - restricted(without, without.maximum(phi))
         parameters[name] = _test(gain, mixture)
@@ -202,40 +201,3 @@ def _information_at_none(objective: LocalLogLikelihood, phi: Array, small: float
     cross = information[np.ix_(scale, other)]
     inverse = np.linalg.pinv(information[np.ix_(other, other)], hermitian=True)
     return information[np.ix_(scale, scale)] - cross @ inverse @ cross.T
-
-
-class _Held(LocalLogLikelihood):
-    """A local likelihood with some of its unknowns held at values of their own."""
-
-    def __init__(self, objective: LocalLogLikelihood, held: dict[str, float]):
-        self.objective = objective
-        names = objective.unknowns.names
-        self.free = np.array([name not in held for name in names])
-        self.held = np.array([held.get(name, 0.0) for name in names])
-        self.unknowns = ParameterSpace(tuple(p for p in objective.unknowns if p.name not in held))
-
-    def maximum(self, phi: Array) -> Array:
-        """Where it is, found from the objective's own phi (m,)."""
-        return maximize_locally(self, phi[self.free]).phi
-
-    def whole(self, phi: Array) -> Array:
-        """The objective's phi of the free unknowns'."""
-        out = self.held.copy()
-        out[self.free] = phi
-        return out
-
-    def _rows(self, phi: Array) -> Array:
-        return self.objective.rows(self.whole(phi))
-
-    def epsilon(self, phi: Array) -> Array:
-        return self.objective.epsilon(self.whole(phi))
-
-    def mean(self, phi: Array) -> Array:
-        return self.objective.mean(self.whole(phi))
-
-    def predict(self, values: Array) -> Array:
-        return self.objective.predict(values)
-
-    def value_score_information(self, phi: Array) -> tuple[float, Array, Array]:
-        value, scores, information = self.objective.value_score_information(self.whole(phi))
-        return value, scores[:, self.free], information[np.ix_(self.free, self.free)]

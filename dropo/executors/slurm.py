@@ -77,7 +77,21 @@ def slurm(place: str) -> Iterator[Executor]:
 
 
 class Call(NamedTuple):
-    """A call that waits for its job, or runs in it."""
+    """A call that waits for its job, or runs in it.
+
+    Attributes
+    ----------
+    answer : Future
+        Of what it returns.
+    run : callable
+        What is called.
+    args : tuple
+        By place.
+    options : dict
+        By name.
+    starts : int
+        How often its job has been started.
+    """
 
     answer: Future[Any]
     run: Callable[..., Any]

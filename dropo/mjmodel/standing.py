@@ -212,7 +212,20 @@ def footing(
 
 
 def site_of(model: mujoco.MjModel, sensor: int) -> int | None:
-    """Find the site on the floating base that a sensor stands on; None where it is elsewhere."""
+    """Find the site on the floating base that a sensor stands on.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+    sensor : int
+        Its number.
+
+    Returns
+    -------
+    int or None
+        None where it stands elsewhere.
+    """
     base = floating_base(model)
     if base is None or model.sensor_objtype[sensor] != mujoco.mjtObj.mjOBJ_SITE:
         return None
@@ -221,14 +234,42 @@ def site_of(model: mujoco.MjModel, sensor: int) -> int | None:
 
 
 def site_in_body(model: mujoco.MjModel, site: int) -> tuple[Array, Array]:
-    """Return where a site is in its body (3,) [m], and the rotation (3, 3) from its axes."""
+    """Return where a site is in its body.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+    site : int
+        Its number.
+
+    Returns
+    -------
+    place : (3,) array
+        In the body's frame [m].
+    rotation : (3, 3) array
+        From the site's axes.
+    """
     turn = np.empty(9)
     mujoco.mju_quat2Mat(turn, model.site_quat[site])
     return np.array(model.site_pos[site]), turn.reshape(3, 3)
 
 
 def ground_height(model: mujoco.MjModel, ground: int) -> float:
-    """Return the height of a level plane [m]."""
+    """Return the height of a level plane.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+    ground : int
+        The number of a level plane.
+
+    Returns
+    -------
+    float
+        In m.
+    """
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     return float(data.geom_xpos[ground][2])

@@ -9,7 +9,7 @@ from dropo.core.services.validation import Array
 
 
 @dataclass(frozen=True)
-class GridSettings:
+class ClosingGridSettings:
     """How places are tried.
 
     Attributes
@@ -33,7 +33,7 @@ class GridSettings:
     seen: float = 1e-9
 
 
-SETTINGS = GridSettings()
+SETTINGS = ClosingGridSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +61,7 @@ def best_place(
     moments: Array,
     centre: Array,
     reach: Array,
-    settings: GridSettings = SETTINGS,
+    settings: ClosingGridSettings = SETTINGS,
 ) -> BestPlace | None:
     """Find the place and the size by which a response explains most.
 
@@ -80,7 +80,7 @@ def best_place(
         Where the grid begins. Of places that are equally good, the one near it is taken.
     reach : (c,) array
         How far from 0 a place may be along each axis.
-    settings : GridSettings
+    settings : ClosingGridSettings
         How places are tried.
 
     Returns

@@ -38,7 +38,7 @@ class FarOffModel:
     numbers : sequence of (EffectInstance, (q,) array)
         What was missing else, with its magnitudes.
     arithmetic : Arithmetic or None
-        Physics steps by which motions are judged; the model's own if None.
+        Physics steps by which motions are evaluated; the model's own if None.
     """
 
     problem: Problem
@@ -54,13 +54,19 @@ class FarOffModel:
 
     @cached_property
     def exact(self) -> RobotSimulator | None:
-        """The library's simulator in the steps by which motions are judged, if not its own."""
+        """The library's simulator in the steps by which motions are evaluated, if not its own."""
         if self.arithmetic is None:
             return None
         return self.arithmetic.of(robot_of(self.problem).with_effects(self.library.instances))
 
     def in_exact_steps(self) -> "FarOffModel":
-        """The model whose own steps are those by which motions are judged."""
+        """Make the model whose own steps are those by which motions are evaluated.
+
+        Returns
+        -------
+        FarOffModel
+            Itself where they are its own already.
+        """
         if self.arithmetic is None:
             return self
         simulator = self.arithmetic.of(robot_of(self.problem))

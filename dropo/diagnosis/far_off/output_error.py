@@ -169,8 +169,8 @@ class OutputError:
     known : Known, optional
         What is known of the numbers beside the motions.
     exact : RobotSimulator, optional
-        The library's simulator in more exact steps, by which motions are judged; if None, its own
-        steps are.
+        The library's simulator in more exact steps, by which motions are evaluated; if None, they
+        are by its own.
 
     References
     ----------
@@ -209,8 +209,8 @@ class OutputError:
         """
         return self.motions.residuals(self.library.predict(thetas, self.motions.windows))
 
-    def judged(self, theta: Array) -> Array:
-        """Simulate all windows in the steps by which motions are judged.
+    def evaluated(self, theta: Array) -> Array:
+        """Simulate all windows in the steps by which motions are evaluated.
 
         Parameters
         ----------
@@ -364,7 +364,7 @@ class OutputError:
         residuals = self.residuals(different)[which.ravel()]
         _, above, below = np.split(residuals, [1, 1 + len(free)])
         slopes = (below - above) / (upper - lower)[:, None, None]
-        here = residuals[0] if self.exact is None else self.judged(theta)
+        here = residuals[0] if self.exact is None else self.evaluated(theta)
         return self._linearized(theta, free, here, here - residuals[0], slopes)
 
     def _linearized(
@@ -548,7 +548,8 @@ class OutputError:
         theta : (m,) array
             All numbers.
         residuals : (W, n) array
-            Measured less predicted in the steps by which motions are judged, under these numbers.
+            Measured less predicted, in the steps by which motions are evaluated, under these
+            numbers.
 
         Returns
         -------

@@ -313,7 +313,7 @@ class FarOffSearch:
         left = []
         for arithmetic in alternatives:
             other = self._error(replace(model, arithmetic=arithmetic), sides.few)
-            left.append((error.left_after_step(end, other.judged(model.theta)), arithmetic))
+            left.append((error.left_after_step(end, other.evaluated(model.theta)), arithmetic))
         # The cheapest of those that promise nearly as much as any.
         least = min(cost for cost, _ in left)
         as_it_is = error.left_after_step(end, end.residuals)
@@ -541,7 +541,7 @@ class FarOffSearch:
         """A model's errors (W, n) in some motions, simulated once."""
         found = self._simulated.get((model, motions))
         if found is None:
-            found = self._error(model, motions).judged(model.theta)
+            found = self._error(model, motions).evaluated(model.theta)
             self._simulated[model, motions] = found
         return found
 

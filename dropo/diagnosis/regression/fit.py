@@ -18,7 +18,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from dropo.core.numerics.closing_grid import SETTINGS as GRID
-from dropo.core.numerics.closing_grid import GridSettings, best_place
+from dropo.core.numerics.closing_grid import ClosingGridSettings, best_place
 from dropo.core.numerics.robust_statistics import deviation
 from dropo.core.services.validation import Array
 from dropo.diagnosis.regression.equation import Equation
@@ -44,7 +44,7 @@ class FitSettings:
         Number of times that rows are weighted anew in a linear solve.
     steps : int
         Number of Gauss-Newton steps when all numbers are fitted together.
-    places : GridSettings
+    places : ClosingGridSettings
         Where a payload is tried.
     misfit : float
         Fraction of what is left, as variance, that may lie along any one number.
@@ -54,7 +54,7 @@ class FitSettings:
     huber: float = 2.5
     weightings: int = 3
     steps: int = 10
-    places: GridSettings = GRID
+    places: ClosingGridSettings = GRID
     misfit: float = 0.01
 
 

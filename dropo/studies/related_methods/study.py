@@ -37,7 +37,7 @@ NOTES = (
     "vary. simopt's spread is what its updates have left of the first one.",
     "simopt collects its data with the stored policy; bayrn trains one by a short search "
     "for every law that it tries, and its target transitions are those of the episodes in which it "
-    "is judged. bayrn looks for a law that trains well, not for the masses.",
+    "is evaluated. bayrn looks for a law that trains well, not for the masses.",
     "adr uses no data: it starts from the model's own masses, which here are the truth, "
     "and widens while the stored policy does not fall. Uniform randomization is one random pair of "
     "bounds a data set.",

@@ -43,7 +43,17 @@ class Hidden:
         return text
 
     def walk(self, walk: Walk) -> Walk:
-        """How it walks and is logged, with an IMU."""
+        """Make how it walks and is logged, with an IMU.
+
+        Parameters
+        ----------
+        walk : Walk
+            That of the model.
+
+        Returns
+        -------
+        Walk
+        """
         return replace(walk, imu=True, late=self.late, tilt=self.tilt)
 
 

@@ -216,7 +216,13 @@ class ExcludedSpan:
 
 @dataclass(frozen=True)
 class ExcludedSpans(FitPart):
-    """The spans of time that were left out before the fit."""
+    """The spans of time that were left out before the fit.
+
+    Attributes
+    ----------
+    spans : tuple of ExcludedSpan
+        In the order of the runs.
+    """
 
     spans: tuple[ExcludedSpan, ...]
     keys = ("disturbances",)
