@@ -17,7 +17,6 @@ from dropo.core.services.validation import Array
 from dropo.diagnosis.search.confirmation import gain_of, is_confirmed
 from dropo.diagnosis.search.library import partner_of
 from dropo.diagnosis.search.linearization import Library
-from dropo.diagnosis.search.review import note_origin
 from dropo.diagnosis.search.selection import Selection
 from dropo.diagnosis.search.single_steps import absent_in_single_steps
 from dropo.diagnosis.search.trials import State, penalized_log_likelihood
@@ -219,7 +218,7 @@ class SetSearch:
         if best is not last:
             for instance in best.accepted:
                 if instance not in last.accepted:
-                    note_origin(self.selection, instance)
+                    self.selection.note_origin(instance)
         return best
 
     def _first_better(self, best: State, tried: Sequence[State]) -> State | None:
