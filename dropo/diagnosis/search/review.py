@@ -224,7 +224,7 @@ def merge(selection: Selection, state: State, instances: Sequence[EffectInstance
         saved_penalty = 0.5 * (magnitudes - len(fewer)) * np.log(state.train.windows.steps)
         if -gain < saved_penalty:
             for instance in fewer:
-                note_origin(selection, instance)
+                selection.note_origin(instance)
             return merged
     return state
 
@@ -278,14 +278,6 @@ def _merged(
     kept = tuple(instance for instance in state.accepted if instance not in replaced)
     start = replace(state, train=train, free=free, accepted=(*kept, *fewer))
     return selection.polish(start)
-
-
-def note_origin(selection: Selection, instance: EffectInstance) -> None:
-    """Note the first batch in which an effect was tried as the one that it was accepted from."""
-    for batch in selection.batches:
-        if any(trial.candidate.instance.label == instance.label for trial in batch.trials):
-            selection.origins[instance.label] = batch
-            return
 
 
 def ambiguity(

@@ -331,7 +331,7 @@ class Selection:
         both = self.polish(both)
         if not is_confirmed(state.test, both.test, needed_gain, self.settings):
             return state
-        self.origins[partner.label] = self.origins[last.label]
+        self.note_origin(partner)
         return both
 
     def try_set(
@@ -378,6 +378,19 @@ class Selection:
         train, test = self._recorded(state, theta, fit)
         kept = tuple(instance for instance in state.accepted if instance not in removed)
         return State(train, test, free, (*kept, *added))
+
+    def note_origin(self, instance: EffectInstance) -> None:
+        """Note the first batch in which an effect was tried as the one that it was accepted from.
+
+        Parameters
+        ----------
+        instance : EffectInstance
+            An accepted effect; of one that no batch has tried nothing is noted.
+        """
+        for batch in self.batches:
+            if any(trial.candidate.instance.label == instance.label for trial in batch.trials):
+                self.origins[instance.label] = batch
+                return
 
     def _origin(self, candidate: Candidate) -> Batch:
         """The last batch with the candidate."""

@@ -17,7 +17,6 @@ from dropo.core.services.validation import Array
 from dropo.diagnosis.search.confirmation import gain_of, is_confirmed
 from dropo.diagnosis.search.library import partner_of
 from dropo.diagnosis.search.linearization import Library
-from dropo.diagnosis.search.review import note_origin
 from dropo.diagnosis.search.selection import Selection
 from dropo.diagnosis.search.single_steps import absent_in_single_steps
 from dropo.diagnosis.search.trials import State, penalized_log_likelihood
@@ -32,7 +31,9 @@ class SetSettings:
     screened : int
         Effects of the pool that promise most beside the model ...
     tried : int
-        ... and of those that were tried with each accepted one.
+        ... and of those that were tried with each accepted one, ...
+    pool : int
+        ... at most, in all: sets grow with its third power.
     removed, added : int
         Effects that leave a model, and that join it, at most.
     refitted : int
@@ -49,6 +50,7 @@ class SetSettings:
 
     screened: int = 8
     tried: int = 3
+    pool: int = 14
     removed: int = 2
     added: int = 3
     refitted: int = 8
@@ -219,7 +221,7 @@ class SetSearch:
         if best is not last:
             for instance in best.accepted:
                 if instance not in last.accepted:
-                    note_origin(self.selection, instance)
+                    self.selection.note_origin(instance)
         return best
 
     def _first_better(self, best: State, tried: Sequence[State]) -> State | None:
@@ -299,23 +301,24 @@ class SetSearch:
         own = {instance.label for instance in state.accepted}
         others = [instance for instance in self.instances if instance.label not in own]
         found: dict[str, tuple[EffectInstance, Array]] = {}
+        # What promises most beside the model.
+        screened = selection.screening(state.train, state.free, others)
+        for candidate in screened[: settings.screened]:
+            found[candidate.instance.label] = (candidate.instance, candidate.magnitudes)
         # What was tried when an effect was accepted, as it was fitted then; and its partner.
         for instance in state.accepted:
+            partner = partner_of(instance, others)
+            if partner is not None:
+                half = 0.5 * state.theta[selection.library.places[instance.label]]
+                found.setdefault(partner.label, (partner, half))
             origin = selection.origins.get(instance.label)
             trials = [] if origin is None else list(origin.trials)
             away = [t for t in trials if t.candidate.instance.label not in own]
             for trial in away[: settings.tried]:
                 one = trial.candidate.instance
                 found.setdefault(one.label, (one, trial.magnitudes))
-            partner = partner_of(instance, others)
-            if partner is not None:
-                half = 0.5 * state.theta[selection.library.places[instance.label]]
-                found.setdefault(partner.label, (partner, half))
-        # What promises most beside the model.
-        screened = selection.screening(state.train, state.free, others)
-        for candidate in screened[: settings.screened]:
-            found.setdefault(candidate.instance.label, (candidate.instance, candidate.magnitudes))
-        return [one for one in found.values() if np.any(one[1])]
+        joining = [one for one in found.values() if np.any(one[1])]
+        return joining[: settings.pool]
 
     def _exchanges(self, gram: Gram) -> Iterator[Exchange]:
         """Sets that promise enough, the one that promises most first."""
