@@ -14,7 +14,7 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.services.errors import Incompatible
 from dropo.diagnosis.regression.quick import QuickDiagnose
 from dropo.estimators.dropo import DROPO
-from dropo.estimators.support.rough_starts import COMMON_ERRORS, warnings_of_starts
+from dropo.estimators.support.common_errors import common_coordinates
 from dropo.logs.floating_base import missing_for_base
 from dropo.logs.signals.base_motion import BaseMotion, estimate_base, imu_of
 from dropo.logs.signals.velocities import estimate_velocities
@@ -120,7 +120,7 @@ def test_a_machine_on_wheels() -> None:
     sensors = robot.sensors
     seen = imu_of(robot, sensors["gyro"], sensors["acc"], shown[:, :3], shown[:, 3:])
     assert seen is not None
-    found = estimate_base(robot, time, positions, velocities, 0.05, seen)
+    found = estimate_base(robot, time, np.asarray(positions, float), velocities, 0.05, seen)
     error = found.velocities[:, 0] - table[:, 11]
     assert np.sqrt(np.mean(error**2)) < 0.01 < 0.1 * table[:, 11].std()
     assert found.standing > 0.99
@@ -143,8 +143,10 @@ def test_init_estimates_the_base(tmp_path: Path) -> None:
     assert "sensordata.gyro[0]" in names - set(problem.estimated)
     assert any("The pose of base is not logged" in note for note in start.imported.notes)
     assert not start.imported.findings
-    assert warnings_of_starts(problem) == (COMMON_ERRORS,)
-    assert warnings_of_starts(replace(problem, estimated={"qvel.base[0]": 0.01})) == ()
+    places = [signal.name for signal in problem.simulator.signals]
+    common = {places[i] for i in common_coordinates(problem)}
+    assert common == own
+    assert common_coordinates(replace(problem, estimated={"qvel.base[0]": 0.01})) == {}
     file = tmp_path / "out" / "problem.yaml"
     entries = [line[2:] for line in file.read_text().splitlines() if "contact_friction:" in line]
     file.write_text(file.read_text() + "\n".join(["parameters:", *entries]) + "\n")
