@@ -111,7 +111,7 @@ def test_a_machine_on_wheels() -> None:
         data.ctrl[:] = 4 * np.sin(0.03 * k)
         mujoco.mj_step(model, data, 5)
     table = np.array(rows)
-    time = 0.01 * np.arange(300)
+    time = np.asarray(0.01 * np.arange(300), dtype=np.float64)
     smooth = estimate_velocities(time, table[:, 7:11] + 1e-3 * rng.normal(size=(300, 4)))
     positions = np.concatenate([np.zeros((300, 7)), smooth.positions], axis=1)
     velocities = np.concatenate([np.zeros((300, 6)), smooth.velocities], axis=1)
@@ -120,7 +120,7 @@ def test_a_machine_on_wheels() -> None:
     sensors = robot.sensors
     seen = imu_of(robot, sensors["gyro"], sensors["acc"], shown[:, :3], shown[:, 3:])
     assert seen is not None
-    found = estimate_base(robot, time, np.asarray(positions, float), velocities, 0.05, seen)
+    found = estimate_base(robot, time, positions, velocities, 0.05, seen)
     error = found.velocities[:, 0] - table[:, 11]
     assert np.sqrt(np.mean(error**2)) < 0.01 < 0.1 * table[:, 11].std()
     assert found.standing > 0.99
