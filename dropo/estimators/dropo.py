@@ -51,7 +51,6 @@ from dropo.estimators.support.rough_starts import (
     SearchSettings,
     search_settings,
     starts_are_rough,
-    warnings_of_starts,
 )
 from dropo.estimators.support.summary import summarize
 from dropo.estimators.support.trust_region import MakeOptimizer, OuterIterations
@@ -388,8 +387,6 @@ class DROPO(Estimator):
         found = searched.found
         if problem.start_noise and not noise.start and starts_are_rough(problem):
             found = replace(found, reason=f"{found.reason} {SMOOTHED}")
-            more = warnings_of_starts(problem)
-            problem = replace(problem, warnings=(*problem.warnings, *more))
 
         # Where its residuals say that starts are noisy, go on with starts that are found.
         interrupted = found.status is Status.INTERRUPTED

@@ -14,7 +14,7 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.services.errors import Incompatible
 from dropo.diagnosis.regression.quick import QuickDiagnose
 from dropo.estimators.dropo import DROPO
-from dropo.estimators.support.rough_starts import COMMON_ERRORS, warnings_of_starts
+from dropo.estimators.support.common_errors import common_coordinates
 from dropo.logs.floating_base import missing_for_base
 from dropo.logs.signals.base_motion import BaseMotion, estimate_base, imu_of
 from dropo.logs.signals.velocities import estimate_velocities
@@ -111,7 +111,7 @@ def test_a_machine_on_wheels() -> None:
         data.ctrl[:] = 4 * np.sin(0.03 * k)
         mujoco.mj_step(model, data, 5)
     table = np.array(rows)
-    time = 0.01 * np.arange(300)
+    time = np.asarray(0.01 * np.arange(300), dtype=np.float64)
     smooth = estimate_velocities(time, table[:, 7:11] + 1e-3 * rng.normal(size=(300, 4)))
     positions = np.concatenate([np.zeros((300, 7)), smooth.positions], axis=1)
     velocities = np.concatenate([np.zeros((300, 6)), smooth.velocities], axis=1)
@@ -143,8 +143,10 @@ def test_init_estimates_the_base(tmp_path: Path) -> None:
     assert "sensordata.gyro[0]" in names - set(problem.estimated)
     assert any("The pose of base is not logged" in note for note in start.imported.notes)
     assert not start.imported.findings
-    assert warnings_of_starts(problem) == (COMMON_ERRORS,)
-    assert warnings_of_starts(replace(problem, estimated={"qvel.base[0]": 0.01})) == ()
+    places = [signal.name for signal in problem.simulator.signals]
+    common = {places[i] for i in common_coordinates(problem)}
+    assert common == own
+    assert common_coordinates(replace(problem, estimated={"qvel.base[0]": 0.01})) == {}
     file = tmp_path / "out" / "problem.yaml"
     entries = [line[2:] for line in file.read_text().splitlines() if "contact_friction:" in line]
     file.write_text(file.read_text() + "\n".join(["parameters:", *entries]) + "\n")

@@ -16,10 +16,6 @@ SMOOTHED = (
     "Estimated states touch something: errors of starts are part of the noise, not carried through"
     " contacts."
 )
-COMMON_ERRORS = (
-    "the pose of the base was estimated: errors that its starts have in common are not in the"
-    " intervals, which are too narrow for what contacts decide, such as friction"
-)
 ROUGH = TrustRegionSettings(
     minimum_width=1e-3,
     coarse_iterations=4,
@@ -93,23 +89,6 @@ def starts_are_rough(problem: Problem) -> bool:
     if not problem.estimated:
         return False
     return bool(problem.simulator.in_contact(problem.segments).any())
-
-
-def warnings_of_starts(problem: Problem) -> tuple[str, ...]:
-    """Say what intervals lack where starts are rough.
-
-    Parameters
-    ----------
-    problem : Problem
-        Of which `starts_are_rough`.
-
-    Returns
-    -------
-    tuple of str
-        A sentence where positions were estimated, as those of a base are that nobody logged.
-    """
-    estimated = any(name.startswith("qpos.") for name in problem.estimated)
-    return (COMMON_ERRORS,) if estimated else ()
 
 
 def search_settings(

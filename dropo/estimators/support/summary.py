@@ -18,6 +18,7 @@ from dropo.core.records.fits.fit_parts import ModelCheck, PriorUse
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.services.errors import SimulationFailed
 from dropo.core.services.validation import Array
+from dropo.estimators.support.common_errors import with_common_errors
 from dropo.estimators.support.standard_errors import (
     OfPrior,
     StandardErrors,
@@ -124,6 +125,7 @@ def summarize(
     except SimulationFailed as error:
         notes.append(f"no standard errors: {error}")
     else:
+        errors = with_common_errors(problem, run, mean, mean_prediction, epsilon, errors)
         found = _with_errors(problem, mean, epsilon, errors, prior)
         if errors.prior is not None:
             found["priors"] = _prior_use(problem, errors.prior)
