@@ -818,7 +818,6 @@ class _Setup:
     won: what its steps gained over the model's own [nats]; 0 if they are those.
     worse: by their labels, effects with which errors after some horizon are larger.
     compared: whether sets of effects were compared, and a better one was found.
-    in_vain: simulator steps of a search by whole motions that found nothing certain.
     """
 
     problem: Problem

@@ -8,7 +8,6 @@ import pytest
 from dropo import Diagnose
 from dropo.core.contracts.support.time_profile import growing, setting_in
 from dropo.core.services.files.evaluation_log import EvaluationLog
-from dropo.diagnosis import diagnose
 from dropo.diagnosis.far_off.search import FarOffSearch
 from dropo.diagnosis.search.linearization import (
     Library,
@@ -152,11 +151,8 @@ def test_motions_without_a_certain_effect_are_counted(monkeypatch):
         )
 
     start = SimpleNamespace(model=None, whole=None, sure=True)
-    monkeypatch.setattr(diagnose, "start_of", lambda *given: start)
     for certain, expected in ((frozenset(), 123), (frozenset({effect.label}), 0)):
         monkeypatch.setattr(FarOffSearch, "run", lambda *_, c=certain: explained(c))
-        answer, in_vain = Diagnose()._explained(
-            found, NO_INDICES, (), lambda *_: None, EvaluationLog()
-        )
+        answer, in_vain = Diagnose()._explained(start, lambda *_: None, EvaluationLog())
         assert (answer is None) == (not certain)
         assert in_vain == expected
