@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import product
 
 import numpy as np
 
@@ -142,26 +143,34 @@ class Chooser:
         """All the common laws with the payload on that body, or none, that leaves least.
 
         The bodies are tried one by one: a payload elsewhere may be a local optimum in which gain
-        and masses are all off by one factor.
+        and masses are all off by one factor. So may a gain that is free from the beginning, beside
+        a joint whose offset a payload explains: it is also freed at last.
         """
         fitter = self.fitter
-        solution = fitter.start(chosen)
-        for _ in range(self.settings.passes):
-            solution = fitter.delayed(fitter.solve(solution))
-        best = fitter.refined(solution)
+        held = tuple(i for i in chosen if i != GAIN)
+        starts = [self._begun(own) for own in dict.fromkeys((chosen, held))]
+        freed = [fitter.refined(replace(one, chosen=chosen)) for one in starts]
+        best = min(freed, key=fitter.badness)
         # A payload has four numbers, one of them not linear: it must earn its place.
         least = fitter.badness(best) - self.settings.payload * float(fitter.equation.used.sum())
-        for body in range(len(fitter.equation.by_inertia)):
-            loaded = solution
+        for body, start in product(range(len(fitter.equation.by_inertia)), starts):
+            loaded = start
             for _ in range(2):
                 loaded = fitter.solve(fitter.loaded(loaded, (body,)))
                 loaded = fitter.delayed(loaded)
-            loaded = fitter.refined(loaded)
+            loaded = fitter.refined(replace(loaded, chosen=chosen))
             heavy = loaded.payload is None or loaded.payload.mass > fitter.heaviest
             if not heavy and fitter.badness(loaded) < least:
                 best = loaded
                 least = fitter.badness(loaded)
         return best
+
+    def _begun(self, chosen: Group) -> Solution:
+        """Terms fitted in turn with weights and the delay."""
+        solution = self.fitter.start(chosen)
+        for _ in range(self.settings.passes):
+            solution = self.fitter.delayed(self.fitter.solve(solution))
+        return solution
 
     def _candidates(self, families: dict[str, Group]) -> list[Group]:
         """Whole families, single terms, and the gain of all drives."""

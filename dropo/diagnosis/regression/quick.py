@@ -64,6 +64,11 @@ class QuickSettings:
     similarity : float
         The cosine of two terms' forces, with all others projected out, from which data can not
         tell them apart.
+    same : float
+        The same from which a rotor's force is that of a gain whatever moves: the scale of all
+        forces is not told then.
+    scale : float
+        How well that scale is thought known then, as a standard deviation; every number has it.
     equation : EquationSettings
         How a log becomes an equation.
     fit : FitSettings
@@ -83,6 +88,8 @@ class QuickSettings:
     widen: float = 1.4
     explained: float = 0.1
     similarity: float = 0.98
+    same: float = 0.9999
+    scale: float = 0.2
     equation: EquationSettings = field(default_factory=EquationSettings)
     fit: FitSettings = field(default_factory=FitSettings)
     choice: ChoiceSettings = field(default_factory=ChoiceSettings)
@@ -136,6 +143,7 @@ class QuickDiagnose:
         faults = wiring_faults(problem)
         estimate = estimate_missing(problem, fitted, self.settings)
         estimate = _with_bias(problem, fitted, estimate, self.settings)
+        estimate = _with_scale(estimate, self.settings)
         causes = [] if faults else self._causes(simulator, estimate)
         still = still_sentences(problem)
         warnings = [*problem.warnings, *still, *_warnings(simulator, estimate)]
@@ -208,7 +216,10 @@ class QuickDiagnose:
         after = replace(solution, sizes=sizes, chosen=tuple(chosen))
         nothing = fitter.start(())
         before = np.where(equation.used, fitter.residuals(nothing), np.nan)
-        left = np.where(equation.used, fitter.residuals(after), np.nan) if found else before
+        if not found:
+            # By how much the model's own physics step acts early is nothing that it lacks.
+            after = replace(nothing, delay=solution.delay)
+        left = np.where(equation.used, fitter.residuals(after), np.nan)
         force = root_mean_square(fitter.forces(solution.delay))
         own = joints(simulator.model)
         dofs = [joint.qvel for joint in own]
@@ -665,6 +676,25 @@ def _with_bias(
     begun = replace(solution, weights=own.weights, spread=own.spread)
     bias = _values(fitter.refined(fitter.solve(begun))) - _values(solution)
     return replace(estimate, errors=np.hypot(estimate.errors, bias))
+
+
+def _with_scale(estimate: Missing, settings: QuickSettings) -> Missing:
+    """The estimate, whose errors have those of the scale of all forces where no motion tells it.
+
+    A joint by itself, with a rotor that may be anything, is such: half the gain is twice the mass.
+    """
+    solution = estimate.solution
+    if GAIN not in solution.chosen:
+        return estimate
+    alike = estimate.alternatives(GAIN, settings.same)
+    if not any(one.effect == "joint_armature" for one in alike):
+        return estimate
+    sizes = np.abs(_values(solution))
+    sizes[0] = 0.0  # the gain is one of those that are not told apart, and says so
+    sizes[-1] = 0.0  # a delay has no scale
+    if solution.payload is not None:
+        sizes[-4:-1] = 0.0
+    return replace(estimate, errors=np.hypot(estimate.errors, settings.scale * sizes))
 
 
 def fixed_numbers(simulator: RobotSimulator, estimate: Missing) -> ActiveEffects:

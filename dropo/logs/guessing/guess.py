@@ -206,12 +206,13 @@ class _Guesser:
             self.guess.mapping["time"] = {"column": own}
             return
         candidates = [one for one in self._columns.all if one.column == wanted] or self._clocks()
+        standing = "" if candidates else self._stamps_that_stand()
         self._columns.used |= set(self._columns.of(words.TIME))
         if not candidates:
             if self._given.get("rate") is None:
                 self.guess.undecided.append(
-                    f"{self._log.path} has no column of time stamps: how many rows a second "
-                    "(`rate: HZ`)?"
+                    f"{self._log.path} has no column of time stamps{standing}: "
+                    "how many rows a second (`rate: HZ`)?"
                 )
             return
         column = candidates[0]
@@ -228,6 +229,19 @@ class _Guesser:
         self.guess.lines.append(
             f"time: {column.column!r} in {scale.unit}, since {scale.why}{others}"
         )
+
+    def _stamps_that_stand(self) -> str:
+        """Words on a column that is named as stamps are, and whose numbers do not go on."""
+        for column in self._columns.of(words.TIME):
+            values = self._columns.read([column])[0]
+            values = values[np.isfinite(values)]
+            count = int(np.sum(np.diff(values) <= 0))
+            if count:
+                return (
+                    f" that go on: of {column.column!r} {count} in {len(values)} rows repeat or "
+                    f"run backward, as if written with too few digits ({values[0]:.17g})"
+                )
+        return ""
 
     def _clocks(self) -> list[ColumnName]:
         """Columns that may be stamps, whose numbers go on."""

@@ -21,6 +21,7 @@ from dropo.studies.first_models.machines import (
     recorded,
 )
 from dropo.studies.first_models.study import diagnosed
+from tests.models.fast_servo import fast_servo_problem
 from tests.models.first_models import problem_with, unknown_rotor
 from tests.models.furuta import ARMATURE, DAMPING, FRICTION, furuta_problem
 
@@ -84,6 +85,16 @@ def test_nothing_is_missing_from_the_right_model():
     assert answer["verdict"] == "consistent"
 
 
+def test_what_the_physics_step_makes_is_not_missing():
+    """A model that acts a millisecond early is off by a tenth of a strong servo's force."""
+    diagnosis = QuickDiagnose().run(fast_servo_problem(1))
+    (joint,) = diagnosis.forces
+    assert joint.before > 0.1 * joint.drive
+    assert joint.after < 0.03 * joint.drive
+    assert diagnosis.causes == ()
+    assert diagnosis.verdict == "consistent"
+
+
 def test_what_motions_do_not_tell_of_a_payload_is_not_said():
     """Its height, where all axes are upright; what is left can be fitted as parameters."""
     design = Design(("hinge z", "hinge z"), (0.3, 0.25), (1.5, 0.8), (60.0, 30.0), along="xx")
@@ -98,6 +109,46 @@ def test_what_motions_do_not_tell_of_a_payload_is_not_said():
         assert abs(payload[letter].value - value) < TOLERANCE * payload[letter].se
     as_parameters = fittable(diagnosis.problem, diagnosis.causes)
     assert len(as_parameters.space) >= len(diagnosis.causes)
+
+
+def test_a_payload_on_a_slide_is_no_gain():
+    """Its weight fixes the scale of all forces: a gain beside an offset explains the rest as well,
+    but not that.
+    """
+    design = Design(
+        ("hinge z", "hinge z", "slide z"),
+        (0.32, 0.22, 0.1),
+        (6.0, 4.0, 1.0),
+        (60.0, 40.0, 2500.0),
+        along="xxz",
+    )
+    machine = replace(random_machine(design, np.random.default_rng(1)), gain=0.0)
+    made = built(first_model(design), machine)
+    data = recorded(
+        made, design.servos, machine.delay, np.random.default_rng(4), runs=1, seconds=20.0
+    )
+    estimates = by_label(QuickDiagnose().run(problem_of("lift", first_model(design), data)))
+    truth = machine.numbers()
+    assert set(estimates) <= {(effect, target) for effect, target, _ in truth}
+    for (effect, target, quantity), value in truth.items():
+        estimate = estimates.get((effect, target), {}).get(quantity)
+        if estimate is not None:
+            assert abs(estimate.value - value) < TOLERANCE * estimate.se, (effect, target, estimate)
+    assert ("payload", "body2") in estimates
+
+
+def test_numbers_share_a_scale_that_no_motion_tells():
+    """Of a single slide, whose rotor and gain do the same: a damping has the scale's error too."""
+    design = Design(("slide x",), (0.2,), (3.0,), (2500.0,), along="x")
+    machine = replace(random_machine(design, np.random.default_rng(2)), gain=0.0, payload=0.0)
+    made = built(first_model(design), machine)
+    data = recorded(
+        made, design.servos, machine.delay, np.random.default_rng(4), runs=1, seconds=20.0
+    )
+    estimates = by_label(QuickDiagnose().run(problem_of("slide", first_model(design), data)))
+    damping = estimates["joint_damping", "joint0"]["damping"]
+    truth = machine.numbers()["joint_damping", "joint0", "damping"]
+    assert abs(damping.value - truth) < 3 * damping.se
 
 
 @pytest.fixture(scope="module")

@@ -241,6 +241,15 @@ def test_stamps_may_begin_anew_in_each_run(tmp_path: Path) -> None:
     assert not found.undecided
 
 
+def test_stamps_of_too_few_digits_are_named(tmp_path: Path) -> None:
+    """Seconds since 1970 in ten digits stand still for a second each."""
+    stamps = 1.7e9 + TIME
+    found = guess(tmp_path, {"timestamp": stamps, "hip q": HIP, "knee q": KNEE})
+    (question,) = found.undecided
+    assert "of 'timestamp' 399 in 400 rows repeat or run backward" in question
+    assert "too few digits (1700000000)" in question
+
+
 def test_no_time_is_not_decided(tmp_path: Path) -> None:
     columns = {"hip q": HIP, "knee q": KNEE}
     assert "no column of time stamps" in guess(tmp_path, columns).undecided[0]
