@@ -179,3 +179,15 @@ def test_options_beyond_all_bounds(
     told = refusal(capsys, "fit", "problem.yaml", option, value)
     assert f"Argument {option}: expected a whole number" in told
     assert "at most 10" in told
+
+
+def test_names_that_are_no_text(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A flipped byte in a joint's name, which MuJoCo reads; one in a comment does no harm."""
+    model = folder / "robot.xml"
+    model.write_bytes(XML.encode().replace(b'name="slide"', b'name="sl\xfade"'))
+    motors = "motors: {slide: {rotor_inertia: 1e-5, gear_ratio: 2}}\n"
+    (folder / "problem.yaml").write_text(TEXT + motors)
+    assert "robot.xml: expected names of joints in UTF-8" in refusal(capsys)
+    model.write_bytes(XML.encode().replace(b"<worldbody>", b"<worldbody><!-- \xfa -->"))
+    main(["data", "check", "problem.yaml"])
+    assert "UTF-8" not in capsys.readouterr().err

@@ -11,7 +11,7 @@ import pytest
 
 from dropo.core.contracts.effect import instances_of
 from dropo.core.records.trajectories import Trajectories
-from dropo.core.services.errors import BadArgument, BadFile
+from dropo.core.services.errors import BadArgument, BadFile, Incompatible
 from dropo.mjmodel.fields import FieldParameter
 from dropo.mjmodel.warnings import suppress_mujoco_warnings
 from dropo.problems.simulated.robots import masses, simulated_robot
@@ -528,3 +528,16 @@ def test_observing_more_keeps_the_source():
     """A simulator that observes other columns can still be written as MJCF."""
     simulator = simulated_robot("torque-arm").simulator
     assert simulator.observing(["qvel"]).spec().to_xml() == simulator.spec().to_xml()
+
+
+def test_refuses_a_body_that_moves_without_a_mass():
+    """MuJoCo's fatal error, as a damaged fit.json may lead to, is a refusal."""
+    sliding = (
+        '<mujoco><worldbody><body name="cart"><joint type="slide" axis="1 0 0"/>'
+        '<geom size="0.1" mass="2"/></body></worldbody></mujoco>'
+    )
+    mass = FieldParameter("mass", 0.1, 1.0, "kg", field="body_mass", element="cart")
+    simulator = MujocoSimulator(mujoco.MjSpec.from_string(sliding), [mass])
+    words = r"MuJoCo takes no model with these parameters: .* 0 mass"
+    with pytest.raises(Incompatible, match=words):
+        simulator.model_of(np.zeros(1))

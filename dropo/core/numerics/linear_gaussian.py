@@ -4,8 +4,9 @@ With J = d f / d xi at the mean, xi ~ N(mu, S) gives y ~ N(f(mu), J S J' + diag(
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
-from dropo.core.numerics.kept_rows import row_blocks
+from dropo.core.numerics.kept_rows import KeptRows, row_blocks
 from dropo.core.services.validation import Array
 
 
@@ -41,13 +42,46 @@ def scores_and_information(
     information = np.zeros((2 * d, 2 * d))
     for block in row_blocks(rows, 24 * p * (p + d)):
         own = jacobian[block]
-        sigma = own @ covariance @ own.swapaxes(1, 2)
-        sigma[:, np.arange(len(epsilon)), np.arange(len(epsilon))] += epsilon
-        solved = np.linalg.solve(sigma, own)  # (r, p, d)
-        gram = own.swapaxes(1, 2) @ solved  # (r, d, d) = J' Sigma^-1 J
+        solved, gram = _solved(own, covariance, epsilon)
         by_mean = np.einsum("rpd,rp->rd", solved, residuals[block])
         scores[block, :d] = by_mean
         scores[block, d:] = 0.5 * (by_mean**2 - np.einsum("rdd->rd", gram))
         information[:d, :d] += gram.sum(axis=0)
         information[d:, d:] += 0.5 * (gram**2).sum(axis=0)
     return scores, information
+
+
+def information_of_units(
+    jacobian: KeptRows, covariance: Array, epsilon: Array, label: NDArray[np.int64]
+) -> Array:
+    """Sum the Fisher information of rows on the means by unit.
+
+    Parameters
+    ----------
+    jacobian : (R, p, d) array, in memory or in a file
+        Derivatives of the predictions by the parameters.
+    covariance : (d, d) array
+        Of the parameters.
+    epsilon : (p,) array
+        Noise variances.
+    label : (R,) array of int
+        The unit of each row: 0 to G - 1.
+
+    Returns
+    -------
+    (G, d, d) array
+    """
+    rows, p, d = jacobian.shape
+    out = np.zeros((int(label.max()) + 1, d, d))
+    for block in row_blocks(rows, 24 * p * (p + d)):
+        np.add.at(out, label[block], _solved(jacobian[block], covariance, epsilon)[1])
+    return out
+
+
+def _solved(jacobian: Array, covariance: Array, epsilon: Array) -> tuple[Array, Array]:
+    """Sigma^-1 J (r, p, d) and J' Sigma^-1 J (r, d, d) of a block of rows."""
+    sigma = jacobian @ covariance @ jacobian.swapaxes(1, 2)
+    sigma[:, np.arange(len(epsilon)), np.arange(len(epsilon))] += epsilon
+    solved: Array = np.asarray(np.linalg.solve(sigma, jacobian), dtype=float)
+    gram: Array = jacobian.swapaxes(1, 2) @ solved
+    return solved, gram

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from dropo.core.numerics.dependence import Units, variance_of_sum
+from dropo.core.numerics.dependence import Units, unit_sums, variance_of_sum
 from dropo.core.services.validation import Array
 
 SINGULAR = 1e-14
@@ -12,13 +12,20 @@ EXACT = 1e-6
 
 
 def sandwich(
-    scores: Array, information: Array, units: Units, prior: Array | None = None
+    scores: Array,
+    information: Array,
+    units: Units,
+    prior: Array | None = None,
+    by_unit: Array | None = None,
 ) -> tuple[Array, Array]:
     """Estimate the covariance H^-1 V H^-1 of a maximum-likelihood estimate.
 
     V is the covariance of the scores' sum, by `variance_of_sum`, from each unknown's own influence
     H^-1 u. With a prior it is the error against a truth drawn from the prior: its information P is
     part of H and of V, and scores are taken from their mean, as their sum is the prior's pull.
+
+    Where it is known which unit has how much of the information, V and its degrees of freedom are
+    those of `few_units_sandwich`: units of which few decide leave small residuals.
 
     Parameters
     ----------
@@ -30,6 +37,8 @@ def sandwich(
         Which rows depend on each other.
     prior : (m,) array, optional
         The diagonal of P.
+    by_unit : (G, m, m) array, optional
+        The information of each unit, but for a common factor.
 
     Returns
     -------
@@ -48,7 +57,13 @@ def sandwich(
     covariance = np.full(information.shape, np.nan)
     degrees = np.full(len(information), np.nan)
     informed = scores if good.all() else scores[:, good]
-    covariance[block], degrees[good] = variance_of_sum(informed @ inverse, units)
+    if by_unit is None:
+        covariance[block], degrees[good] = variance_of_sum(informed @ inverse, units)
+    else:
+        own = by_unit[:, good][:, :, good]
+        whole = own.sum(axis=0) if prior is None else own.sum(axis=0) + np.diag(prior[good])
+        sums, degrees[good] = _adjusted(unit_sums(informed, units), own, whole)
+        covariance[block] = inverse @ sums.T @ sums @ inverse
     if prior is not None:
         of_data = np.diagonal(covariance)[good].copy()
         covariance[block] += inverse * prior[good] @ inverse
@@ -84,23 +99,36 @@ def few_units_sandwich(scores: Array, information: Array) -> tuple[Array, Array]
     Bell and McCaffrey, Survey Methodology 28 (2002), 169; Pustejovsky and Tipton, J. Business &
     Economic Statistics 36 (2018), 672, eq. 6 to 11.
     """
-    inverse = inverse_information(information.sum(axis=0))
-    values, vectors = np.linalg.eigh(inverse)
-    root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T  # M^-1/2
+    whole = information.sum(axis=0)
+    adjusted, degrees = _adjusted(scores, information, whole)
+    inverse = inverse_information(whole)
+    return inverse @ adjusted.T @ adjusted @ inverse, degrees
+
+
+def _adjusted(scores: Array, information: Array, whole: Array) -> tuple[Array, Array]:
+    """The scores of units with what the fit took from their residuals, and degrees of freedom."""
+    values, vectors = np.linalg.eigh(inverse_information(whole))
+    size = np.sqrt(np.maximum(values, 0.0))
+    root = (vectors * size) @ vectors.T  # M^-1/2
+    back = (vectors / np.maximum(size, SINGULAR * size.max())) @ vectors.T
     # In coordinates in which all information is the identity, a unit has the share A of it.
     share, axes = np.linalg.eigh(root @ information @ root)
     left = np.maximum(1.0 - share, SINGULAR)
     turned = np.einsum("gij,gi->gj", axes, scores @ root)
-    adjusted = np.einsum("gij,gj->gi", axes, turned / np.sqrt(left))
-    covariance = root @ adjusted.T @ adjusted @ root
+    adjusted = np.einsum("gij,gj->gi", axes, turned / np.sqrt(left)) @ back
     # The variance of a coefficient c is a quadratic form of the errors with the matrix
     # diag(c' (1 - A)^-1 A c) - w_g' w_h, where w_g = (1 - A_g)^-1/2 A_g c.
     places = np.einsum("gij,ik->gjk", axes, root)
     own = np.einsum("gj,gjk->gk", share / left, places**2)
     pulls = np.einsum("gij,gjk->kgi", axes, (share / np.sqrt(left))[:, :, None] * places)
-    forms = own.T[:, :, None] * np.eye(len(scores)) - pulls @ pulls.transpose(0, 2, 1)
-    degrees = np.einsum("kgg->k", forms) ** 2 / np.einsum("kgh,kgh->k", forms, forms)
-    return covariance, degrees
+    length = np.sum(pulls**2, axis=2).T
+    gram = np.einsum("kgi,kgj->kij", pulls, pulls)
+    trace = np.sum(own - length, axis=0)
+    square = np.sum(own**2 - 2 * own * length, axis=0) + np.sum(gram**2, axis=(1, 2))
+    # Where no unit has any information, as beside a prior alone, all count.
+    degrees = np.full(len(square), max(len(scores) - 1.0, 1.0))
+    np.divide(trace**2, square, out=degrees, where=square > 0)
+    return adjusted, degrees
 
 
 def inverse_information(information: Array) -> Array:

@@ -8,9 +8,9 @@ from dropo.core.contracts.family import Family
 from dropo.core.contracts.likelihood import LocalLogLikelihood
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.support.mean_prior import MeanPrior, mean_places
-from dropo.core.numerics.dependence import independent
+from dropo.core.numerics.dependence import Units, independent
 from dropo.core.numerics.kept_rows import MEMORY, KeptRows, MemorySettings, keep_rows, row_blocks
-from dropo.core.numerics.linear_gaussian import scores_and_information
+from dropo.core.numerics.linear_gaussian import information_of_units, scores_and_information
 from dropo.core.numerics.robust_covariance import inverse_information, sandwich
 from dropo.core.records.independent_units import units_of
 from dropo.core.records.parameters import ParameterSpace
@@ -42,6 +42,22 @@ class JacobianStepSettings:
 
 
 DIFFERENCES = JacobianStepSettings()
+
+
+@dataclass(frozen=True)
+class ShareSettings:
+    """When it matters which unit of data has how much of the information.
+
+    Attributes
+    ----------
+    most : int
+        Of more units than this none has so much that the residuals follow it.
+    """
+
+    most: int = 1000
+
+
+SHARES = ShareSettings()
 
 
 @dataclass(frozen=True)
@@ -153,11 +169,13 @@ def _errors_with_step(
     kept = np.tile(_inside(bounds, mean, settings.edge), 2)
     units = units_of(segments)
     curvature = _curvature(prior, mean, np.arange(d), 2 * d)
+    by_unit = _information_by_unit(jacobian, spread, known, information, np.arange(d), units)
     covariance, counted = sandwich(
         scores[:, kept],
         information[np.ix_(kept, kept)],
         units,
         None if curvature is None else curvature[kept],
+        None if by_unit is None else by_unit[:, kept][:, :, kept],
     )
     variance = np.full(2 * d, np.nan)
     degrees = np.full(2 * d, np.nan)
@@ -205,7 +223,8 @@ def local_standard_errors(
     names = objective.unknowns.names
     _, scores, information = objective.value_score_information(phi)
     units = units_of(problem.segments)
-    if len(units.label) != len(scores):  # scores of groups are independent as they are
+    of_groups = len(units.label) != len(scores)
+    if of_groups:  # their scores are independent as they are
         units = independent(len(scores))
 
     inside = _inside(family.unknowns, phi[:own], settings.edge)
@@ -219,7 +238,16 @@ def local_standard_errors(
     own_information = information[np.ix_(free, free)]
     if not free.all():
         scores = scores[:, free]
-    covariance, degrees[free] = sandwich(scores, own_information, units, of_free)
+    jacobian = local_jacobian(objective, family.mean(phi[:own]), problem, settings, memory)
+    by_unit = None
+    if not of_groups:
+        noise = np.maximum(objective.epsilon(phi), rounding(problem))
+        sd = family.sd(phi[:own])
+        spread = family.correlation(phi[:own]) * np.outer(sd, sd)
+        by_unit = _information_by_unit(jacobian, spread, noise, information, means, units)
+    if by_unit is not None:
+        by_unit = by_unit[:, free][:, :, free]
+    covariance, degrees[free] = sandwich(scores, own_information, units, of_free, by_unit)
     del scores
     if objective.errors_from_model:
         known = own_information if of_free is None else own_information + np.diag(of_free)
@@ -232,13 +260,34 @@ def local_standard_errors(
         if f"scale.{name}" in names:
             scale[i] = errors[names.index(f"scale.{name}")]
     scale[~(scale < family.scale(phi[:own]))] = np.nan
-    jacobian = local_jacobian(objective, family.mean(phi[:own]), problem, settings, memory)
     whole = np.full((len(phi), len(phi)), np.nan)
     whole[np.ix_(free, free)] = covariance
     correlation = _correlation_errors(family, phi[:own], whole[:own, :own], settings)
     return StandardErrors(
         errors[means], scale, degrees[means], jacobian, correlation, prior=of_prior
     )
+
+
+def _information_by_unit(
+    jacobian: KeptRows,
+    spread: Array,
+    noise: Array,
+    information: Array,
+    means: Ints,
+    units: Units,
+    settings: ShareSettings = SHARES,
+) -> Array | None:
+    """(G, m, m) what each unit has of the information (m, m) of all; None where it does not matter.
+
+    On the means it is that of the linear-Gaussian model, on all else the unit's share of the rows.
+    """
+    if units.serial or units.count > settings.most:
+        return None
+    share = np.bincount(units.label) / len(units.label)
+    out = share[:, None, None] * np.diag(np.diagonal(information))
+    of_means = information_of_units(jacobian, spread, noise, units.label)
+    out[:, means[:, None], means] = of_means
+    return out
 
 
 def _curvature(prior: MeanPrior | None, mean: Array, places: Ints, size: int) -> Array | None:

@@ -40,6 +40,13 @@ def gymnasium_spec(file: str) -> mujoco.MjSpec:
     return mujoco.MjSpec.from_file(str(path))
 
 
+NAMED = (
+    *("bodies", "joints", "geoms", "sites", "actuators", "sensors", "tendons", "equalities"),
+    *("cameras", "lights", "meshes", "materials", "textures", "keys"),
+)
+"""What an MjSpec has lists of, whose elements have names."""
+
+
 def load_model(
     model: str | Path | mujoco.MjSpec | mujoco.MjModel, fields: Sequence[str] = ()
 ) -> mujoco.MjModel:
@@ -109,7 +116,8 @@ def specification(model: str | Path | mujoco.MjSpec | mujoco.MjModel) -> mujoco.
     BadArgument
         If a compiled model is given, which has no MJCF.
     BadFile
-        If there is no such file, MuJoCo refuses it, or a number in it is NaN.
+        If there is no such file, MuJoCo refuses it, a number in it is NaN, or a name in it is no
+        text.
     """
     if isinstance(model, mujoco.MjSpec):
         return model.copy()
@@ -126,6 +134,7 @@ def specification(model: str | Path | mujoco.MjSpec | mujoco.MjModel) -> mujoco.
             raise _broken(model, error) from None
     if any(NAN in message for message in messages):
         raise _not_a_number(Path(model))
+    _check_names(spec, Path(model))
     for name in ("meshdir", "texturedir"):
         folder = getattr(spec.compiler, name)
         if folder:
@@ -162,6 +171,16 @@ def _compile(model: str | Path | mujoco.MjSpec, fields: Sequence[str]) -> mujoco
             return spec.compile()
     except (ValueError, RuntimeError) as error:
         raise _broken(model, error) from None
+
+
+def _check_names(spec: mujoco.MjSpec, path: Path) -> None:
+    """Refuse a file with a name that is not UTF-8, which MuJoCo reads and Python does not."""
+    try:
+        for kind in NAMED:
+            for element in getattr(spec, kind):
+                element.name  # noqa: B018 - decoded when it is read
+    except UnicodeDecodeError as error:
+        raise BadFile(path, "", f"names of {kind} in UTF-8", str(error)) from None
 
 
 def _not_a_number(path: Path) -> BadFile:

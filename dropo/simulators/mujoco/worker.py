@@ -66,6 +66,11 @@ class Worker:
             The declared parameters.
         active : sequence of (EffectInstance, (q,) array)
             The effects with their magnitudes.
+
+        Raises
+        ------
+        Incompatible
+            If MuJoCo takes no such model, as of a body that moves and has no mass.
         """
         if self._changed:
             self._copy.restore()
@@ -85,7 +90,7 @@ class Worker:
         if changes:
             self._refuse_lost_shapes()
         if before or changes:
-            mujoco.mj_setConst(self.model, self.data)
+            self._derive_constants()
         for binding, number in after:
             binding.set(self.model, number)
         unclamped = acts_after_clamp(active)
@@ -189,6 +194,13 @@ class Worker:
         while len(self._twins) < own:
             self._twins.append(ModelCopy(self.model))
         return [twin.model for twin in self._twins[:own]]
+
+    def _derive_constants(self) -> None:
+        """Let what follows from the parameters follow them."""
+        try:
+            mujoco.mj_setConst(self.model, self.data)
+        except mujoco.FatalError as error:
+            raise Incompatible(f"MuJoCo takes no model with these parameters: {error}.") from None
 
     def _refuse_lost_shapes(self) -> None:
         """Refuses a change by which a mesh collides that was only seen, and is not here."""

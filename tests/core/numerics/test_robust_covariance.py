@@ -140,3 +140,34 @@ def test_intervals_of_few_units_cover():
     assert (np.abs(ratio.mean(axis=0) - 1) < 4.5 * spread).all()
     assert (np.mean(held, axis=0) > 0.95).all()
     assert (np.mean(held_by_control, axis=0) < 0.85).all()
+
+
+def test_units_that_tell_most_make_intervals_wide():
+    """Of 25 units two have most of the information: with the information of each unit known,
+    intervals of 95 % hold the truth in at least 94 % of 2000 data sets; the control, without, in
+    less than 90 %. Where units are alike, both are the same.
+    """
+    rng = np.random.default_rng(6)
+    scale = np.r_[np.ones(23), 6.0, 8.0]
+    jacobian = rng.standard_normal((25, 10, 2)) * scale[:, None, None]
+    flat = jacobian.reshape(-1, 2)
+    own = np.einsum("gnm,gnk->gmk", jacobian, jacobian)
+    units = Units(np.arange(25), False, np.arange(25), "units")
+    held, held_by_control = [], []
+    for _ in range(2000):
+        noise = rng.standard_normal((25, 10))
+        error = np.linalg.lstsq(flat, noise.ravel(), rcond=None)[0]
+        scores = np.einsum("gnm,gn->gm", jacobian, noise - jacobian @ error)
+        for kept, by_unit in ((held, own), (held_by_control, None)):
+            covariance, degrees = sandwich(scores, own.sum(axis=0), units, by_unit=by_unit)
+            half = student_quantile(0.975, degrees) * np.sqrt(np.diagonal(covariance))
+            kept.append(np.abs(error) < half)
+    assert np.mean(held) > 0.94
+    assert np.mean(held_by_control) < 0.9
+
+    scores = rng.standard_normal((25, 1))
+    alike = np.ones((25, 1, 1))
+    by_shares = sandwich(scores, np.array([[25.0]]), units, by_unit=alike)
+    plain = sandwich(scores, np.array([[25.0]]), units)
+    np.testing.assert_allclose(by_shares[0], plain[0])
+    np.testing.assert_allclose(by_shares[1], plain[1])
