@@ -123,7 +123,9 @@ def refit(
         linearized, jacobian = _settled(problem, renewed, floor, jacobian=jacobian)
     # Without noise, errors are so small that usual differences are too wide.
     if np.median(linearized.whiten.sigma / floor) < settings.noiseless:
-        return _settled(problem, linearized, floor, close=True)[0]
+        noise = linearized.whiten.noise
+        renewed = linearize(library, linearized.windows, linearized.theta, noise)
+        return _settled(problem, renewed, floor, close=True)[0]
     return linearized
 
 
