@@ -47,10 +47,10 @@ def test_the_forecast_counts_simulations():
     region = TrustRegion(np.ones(2), np.ones(2), coarse=False)
     segments = outer.problem.segments
     linear = 5 * int(segments.lengths.sum()) * outer.problem.simulator.steps_per_action
-    outer._tell_cost(region, 29.0, 12 * linear)
-    outer._tell_cost(region, 240.0, 12 * linear)
-    outer._tell_cost(region, 240.0, 12 * linear)
+    outer._show_cost(region, 29.0, 12 * linear)
+    outer._show_cost(region, 240.0, 12 * linear)
+    outer._show_cost(region, 240.0, 12 * linear)
     assert said == ["an iteration takes 4 minutes; --likelihood linear would take about 20 s"]
-    outer._told = False
-    outer._tell_cost(region, 60.0, linear // 2)
+    outer._cost_is_shown = False
+    outer._show_cost(region, 60.0, linear // 2)
     assert said[1:] == ["an iteration takes 60 s"]
