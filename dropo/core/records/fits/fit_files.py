@@ -23,8 +23,10 @@ from dropo.core.records.fits.fit_parts import (
 )
 from dropo.core.records.fits.search_records import SEARCH_RECORDS
 from dropo.core.records.parameters import Parameter, ParameterSpace
+from dropo.core.services.errors import BadFile, UnknownName
 from dropo.core.services.files.atomic_write import write_json, write_npz
 from dropo.core.services.files.saved_files import read_npz, refusing_faults, require_shapes
+from dropo.core.services.registry import find
 from dropo.core.services.validation import Array
 
 PARTS: Mapping[str, type[FitPart]] = {
@@ -143,7 +145,21 @@ def load_fit(folder: Path) -> Fit:
     arrays = read_npz(folder / "fit.npz", "the arrays of a fit")
     require_shapes(folder / "fit.npz", arrays, ARRAYS)
     with refusing_faults(path, WRITTEN):
-        return replace(_fit_from(content, arrays), source=_source_of(folder))
+        fit = replace(_fit_from(content, arrays), source=_source_of(folder))
+        _check_member(folder / "fit.npz", fit)
+    return fit
+
+
+def _check_member(path: Path, fit: Fit) -> None:
+    """Refuse numbers of which the fit's family has more or fewer, where it is known here."""
+    try:
+        family = find("families", fit.family)(fit.space)
+    except UnknownName:
+        return
+    count = len(family.unknowns)
+    if len(fit.phi) != count:
+        rule = f"{count} numbers, which name a member of the family {fit.family}"
+        raise BadFile(path, "phi", rule, f"{len(fit.phi)}")
 
 
 def _source_of(folder: Path) -> str:

@@ -236,6 +236,7 @@ def test_arrays_of_other_shapes_are_refused(tmp_path):
         arrays = dict(kept)
     for changed, message in (
         ({"phi": np.zeros((2, 2))}, r"phi: expected an array of finite numbers of shape \(m,\)"),
+        ({"phi": np.zeros(7)}, "phi: expected .* numbers, which name a member of the family"),
         ({"correlation": np.zeros((1, 2))}, r"correlation: .* with d = 1"),
         ({"epsilon": np.array(["a"])}, "epsilon: expected an array of finite numbers"),
     ):
