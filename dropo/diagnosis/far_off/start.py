@@ -108,7 +108,8 @@ def start_of(
     if sure and not estimate.is_certain_gain(settings.certain):
         known = estimate.with_own_gain()
         if known.left <= limits.scale * estimate.left:
-            sure = known.certain_numbers(settings.certain) >= limits.numbers
+            certain = known.certain_numbers(settings.certain)
+            sure = certain >= limits.numbers or abs(known.solution.gain) >= limits.gain
     if not sure and not _may_be(estimate, [one.effect for one in named], limits):
         return None
     space = simulator.space
