@@ -52,10 +52,12 @@ def sandwich(
         information = information + np.diag(prior)
         scores = scores - scores.mean(axis=0)
     good = np.diagonal(information) > 0
-    block = np.ix_(good, good)
-    inverse = inverse_information(information[block])
     covariance = np.full(information.shape, np.nan)
     degrees = np.full(len(information), np.nan)
+    if not good.any():
+        return covariance, degrees
+    block = np.ix_(good, good)
+    inverse = inverse_information(information[block])
     informed = scores if good.all() else scores[:, good]
     if by_unit is None:
         covariance[block], degrees[good] = variance_of_sum(informed @ inverse, units)
