@@ -31,7 +31,7 @@ def searched():
     """The search on an arm with more damping at the elbow: setup, the effect and its review."""
     damped = problem([("joint_damping:elbow", [0.05])])
     task = _Task(damped, damped, np.random.default_rng(0), EvaluationLog())
-    setup = SEARCH._set_up(task, silent)
+    setup = SEARCH._set_up(task, None, silent)
     _, found = _search(setup)
     (instance,) = found.last.accepted
     return setup, instance, found.reviews[instance.label]
