@@ -66,7 +66,8 @@ class ArithmeticSettings:
     Attributes
     ----------
     alternatives : tuple of Arithmetic
-        The cheapest first. The last is for machines too stiff for Runge and Kutta.
+        The cheapest first. The last two are for machines too stiff for Runge and Kutta, and for
+        data of another simulation, in shorter steps of the same kind.
     of_runge_kutta : tuple of Arithmetic
         Those of a model that is stepped by Runge and Kutta already.
     nearly : float
@@ -85,6 +86,7 @@ class ArithmeticSettings:
         Arithmetic(1, "RK4"),
         Arithmetic(2, "RK4"),
         Arithmetic(4),
+        Arithmetic(10),
     )
     of_runge_kutta: tuple[Arithmetic, ...] = (Arithmetic(2),)
     nearly: float = 0.95
