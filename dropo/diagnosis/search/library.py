@@ -69,7 +69,8 @@ def instances_for(
     UnknownName
         If an effect or a place does not exist; the message has the nearest valid one.
     BadArgument
-        If all effects that were named are declared as parameters.
+        If all effects that were named are declared as parameters, or of signals that were
+        estimated.
     Incompatible
         If the simulator has no model that effects can be added to.
     """
@@ -85,13 +86,37 @@ def instances_for(
             found += [law_of_text(simulator.effect_context, place)] if place else []
             continue
         for instance in instances_of(simulator.effect_context, name, place):
-            if not declared(simulator, instance, free):
+            if declared(simulator, instance, free):
+                continue
+            if place or not of_an_estimate(problem, instance):
                 found.append(instance)
     if not found and LAW not in wanted:
         raise BadArgument(
-            "No effect is left to look for: all that were named are declared as parameters."
+            "No effect is left to look for: all that were named are declared as parameters, or of"
+            " sensors whose signals were estimated, not measured."
         )
     return found
+
+
+def of_an_estimate(problem: Problem, instance: EffectInstance) -> bool:
+    """Decide whether an effect is of the sensor of a signal that no sensor measured.
+
+    The errors of an estimate are its estimator's: motion within a control step that it cannot see
+    looks like a sensor's gain or delay.
+
+    Parameters
+    ----------
+    problem : Problem
+        Whose signals they are.
+    instance : EffectInstance
+        The effect, or one that changes with time.
+
+    Returns
+    -------
+    bool
+    """
+    _, _, place = str(instance.target).rpartition(":")
+    return place in problem.estimated
 
 
 def robot_of(problem: Problem) -> RobotSimulator:

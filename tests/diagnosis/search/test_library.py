@@ -41,3 +41,18 @@ def test_partners_are_at_one_place():
     assert partner_of(by_label["actuator_delay"], instances) is by_label["actuator_lag"]
     assert partner_of(by_label["joint_damping:elbow"], instances) is None
     assert partner_of(delay, [delay]) is None
+
+
+def test_what_was_estimated_has_no_sensor():
+    """No sensor of a signal that was estimated is looked for, but where it is named with its place.
+    Control: those of measured signals are, and all are where none was estimated.
+    """
+    measured = problem([], episodes=1)
+    name = next(one.name for one in measured.simulator.signals if one.name.startswith("qvel"))
+    estimated = replace(measured, estimated={name: 1e-3})
+    before = {one.label for one in instances_for(measured)}
+    after = {one.label for one in instances_for(estimated)}
+    assert before - after == {label for label in before if label.rpartition(":")[2] == name}
+    assert {f"sensor_delay:{name}", f"sensor_gain:{name}"} <= before - after
+    (asked,) = instances_for(estimated, [f"sensor_gain:{name}"])
+    assert asked.target == name
