@@ -563,7 +563,8 @@ class Missing:
         chosen = self.solution.chosen
         count = len(fitter.terms)
         # The gain's column comes last, so that GAIN is its index too.
-        columns = np.concatenate([fitter.columns, fitter.equation.needed[:, :, None]], axis=2)
+        terms = fitter.columns_at(self.solution.delay, range(count))
+        columns = np.concatenate([terms, fitter.equation.needed[:, :, None]], axis=2)
         columns = (columns * self.solution.weights[:, :, None]).reshape(-1, count + 1)
         others = [i for i in chosen if i != index]
         basis = np.linalg.qr(columns[:, others])[0] if others else np.zeros((len(columns), 0))

@@ -13,6 +13,7 @@ from dropo.problems.file.writer import write_problem
 from dropo.problems.hopper.problem import hopper
 from dropo.problems.loading import load
 from dropo.studies.first_models.machines import (
+    DESIGNS,
     Design,
     built,
     first_model,
@@ -22,7 +23,7 @@ from dropo.studies.first_models.machines import (
 )
 from dropo.studies.first_models.study import diagnosed
 from tests.models.fast_servo import fast_servo_problem
-from tests.models.first_models import problem_with, unknown_rotor
+from tests.models.first_models import problem_with, recorded_machine, unknown_rotor
 from tests.models.furuta import ARMATURE, DAMPING, FRICTION, furuta_problem
 
 TOLERANCE = 4.0
@@ -135,6 +136,40 @@ def test_a_payload_on_a_slide_is_no_gain():
         if estimate is not None:
             assert abs(estimate.value - value) < TOLERANCE * estimate.se, (effect, target, estimate)
     assert ("payload", "body2") in estimates
+
+
+def weak_drive(gain):
+    """The problem of an arm whose drives have these gains, and no payload."""
+    design = DESIGNS["arm, 3 joints"]
+    machine, spec, _ = recorded_machine("arm, 3 joints", np.random.default_rng(31), runs=1)
+    machine = replace(machine, gain=np.array(gain), payload=0.0)
+    made = built(spec, machine)
+    data = recorded(made, design.servos, machine.delay, np.random.default_rng(32), runs=1)
+    return problem_of("one weak drive", spec, data)
+
+
+def gains_of(diagnosis):
+    """The gains that are named, by drive."""
+    causes = [cause for cause in diagnosis.causes if cause.effect == "actuator_gain"]
+    return {cause.target: cause.estimate["gain"] for cause in causes}
+
+
+def test_a_drive_may_have_a_gain_of_its_own():
+    """One drive gives less than its command says, the others do not: no gain of all is named."""
+    gains = gains_of(QuickDiagnose().run(weak_drive([0.0, -0.25, 0.0])))
+    assert set(gains) == {"drive1"}
+    assert abs(gains["drive1"].value + 0.25) < TOLERANCE * gains["drive1"].se
+    assert gains["drive1"].se < 0.05
+
+
+def test_a_weak_drive_beside_an_offset_elsewhere():
+    """The offset of one joint is no reason to call all drives weak."""
+    problem = changed(weak_drive([0.0, 0.0, -0.3]), commands=lambda rows: rows - [0, 0.05, 0])
+    diagnosis = QuickDiagnose().run(problem)
+    gains = gains_of(diagnosis)
+    assert set(gains) == {"drive2"}
+    assert abs(gains["drive2"].value + 0.3) < TOLERANCE * gains["drive2"].se
+    assert ("joint_stiffness", "joint1") in by_label(diagnosis)
 
 
 def test_numbers_share_a_scale_that_no_motion_tells():
