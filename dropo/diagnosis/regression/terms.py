@@ -158,6 +158,7 @@ def _joint_terms(model: Model, joint: Joint, equation: Equation) -> list[Term]:
             equation.column("position", dof) - own.rest * equation.column("one", dof),
             "stiffness",
             base=own.stiffness,
+            bounded=True,
         ),
         term(
             "joint_stiffness",

@@ -8,7 +8,8 @@ import pytest
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import BadArgument, Incompatible
 from dropo.diagnosis.findings.fittable import fittable
-from dropo.diagnosis.regression.quick import QuickDiagnose
+from dropo.diagnosis.regression.quick import QuickDiagnose, QuickSettings, estimate_missing
+from dropo.diagnosis.search.library import robot_of
 from dropo.problems.file.writer import write_problem
 from dropo.problems.hopper.problem import hopper
 from dropo.problems.loading import load
@@ -105,6 +106,10 @@ def test_what_motions_do_not_tell_of_a_payload_is_not_said():
     diagnosis = QuickDiagnose().run(problem_of("upright", first_model(design), data))
     payload = by_label(diagnosis)["payload", "body1"]
     assert "z" not in payload
+    assert any("scale of all forces" in sentence for sentence in diagnosis.warnings)
+    for (effect, target), estimate in by_label(diagnosis).items():
+        first = next(iter(estimate.values()))
+        assert first.se < abs(first.value), (effect, target)
     for letter in set("xy") & set(payload):
         value = machine.place["xyz".index(letter)]
         assert abs(payload[letter].value - value) < TOLERANCE * payload[letter].se
@@ -170,6 +175,33 @@ def test_a_weak_drive_beside_an_offset_elsewhere():
     assert set(gains) == {"drive2"}
     assert abs(gains["drive2"].value + 0.3) < TOLERANCE * gains["drive2"].se
     assert ("joint_stiffness", "joint1") in by_label(diagnosis)
+
+
+def test_no_spring_pushes_away():
+    """A command that falls behind with the angle is like a spring below 0, which there is none."""
+    problem = weak_drive([0.0, 0.0, 0.0])
+    data = problem.trajectories
+    behind = data.actions - data.observations * [0, 0.1, 0]
+    problem = replace(
+        problem,
+        trajectories=Trajectories(
+            data.observations, behind, data.next_observations, data.terminals
+        ),
+    )
+    for estimate in by_label(QuickDiagnose().run(problem)).values():
+        assert "stiffness" not in estimate or estimate["stiffness"].value > 0
+
+
+def test_numbers_that_are_not_known_are_not_named():
+    """However large a force is: where its number's error exceeds it, the number says nothing."""
+    problem = problem_with("arm, 3 joints", np.random.default_rng(35), runs=1)[1]
+    settings = QuickSettings()
+    found = estimate_missing(problem, problem.trajectories, settings)
+    assert found.solution.payload is not None
+    unknown = replace(found, errors=np.full(len(found.errors), 300.0))
+    numbers = unknown.numbers(robot_of(problem), settings.certain)
+    assert not [number for number in numbers if number.named]
+    assert ("payload", True) in [(number.effect, number.unknown) for number in numbers]
 
 
 def test_numbers_share_a_scale_that_no_motion_tells():
