@@ -15,7 +15,7 @@ from dropo.diagnosis.regression.fit import (
     bounded,
     root_mean_square,
 )
-from dropo.diagnosis.regression.terms import INERTIAL, LAWS, families_of
+from dropo.diagnosis.regression.terms import INERTIAL, LAWS, OWN_GAIN, families_of
 from dropo.diagnosis.search.confirmation import signed_rank_score
 
 Group = tuple[int, ...]
@@ -35,6 +35,10 @@ class ChoiceSettings:
         Number of standard errors, by block of time, by which that decrease must be above 0.
     force : float
         Force that a group must explain, as a fraction of the drives' at its joints.
+    apart : float
+        Force that gains of single drives must explain at some joint beyond what a gain of all
+        drives does, as a fraction of the drive's, and a gain that counts as wrong: smoothing makes
+        less than that.
     wald : float
         Smallest square of a term's size, in squares of its standard error, with which it is kept.
     payload : float
@@ -50,6 +54,7 @@ class ChoiceSettings:
     improvement: float = 0.004
     block_z: float = 2.0
     force: float = 0.006
+    apart: float = 0.02
     wald: float = 16.0
     payload: float = 0.02
     passes: int = 4
@@ -96,25 +101,57 @@ class Chooser:
         """Choose the terms that are missing, and fit them.
 
         The laws that every machine has come first, all of them at all joints; then what data held
-        out do not ask for is dropped, others are added, and each number must stand on its own.
+        out do not ask for is dropped, others are added, and each number must stand on its own. The
+        drives share one gain, unless a gain of each explains data held out better.
 
         Returns
         -------
         Solution
             The chosen terms with their sizes, the gain, the delay and the payload.
         """
-        fitter = self.fitter
-        families = families_of(fitter.terms)
-        groups = [families[name] for name in LAWS if name in families]
+        families = families_of(self.fitter.terms)
+        own = families.pop(OWN_GAIN, ())
         # Where each drive has a gain of its own, one of all drives says nothing new.
-        if fitter.equation.driven.any() and "gain" not in families:
-            groups.append((GAIN,))
+        common = self.fitter.equation.driven.any() and "gain" not in families
+        shared = self._chosen_of(families, [(GAIN,)] if common else [])
+        if not own or not self._is_large(shared, 0.0):
+            return shared
+        apart = self._chosen_of({**families, OWN_GAIN: own}, [(i,) for i in own])
+        return apart if self._is_better(shared, apart) else shared
+
+    def _chosen_of(self, families: dict[str, Group], gains: list[Group]) -> Solution:
+        """What is chosen of families where the drives' gains may be wrong together or apart."""
+        groups = [families[name] for name in LAWS if name in families] + gains
         solution = self._first(tuple(i for group in groups for i in group))
         solution = self.without_needless(solution, groups)
         solution = self.with_more(solution, self._candidates(families))
         singles = [(i,) for i in solution.chosen if i not in self.of_laws(solution)]
         solution = self.without_needless(solution, singles)
         return self.certain(solution)
+
+    def _is_better(self, shared: Solution, apart: Solution) -> bool:
+        """Whether drives with gains of their own explain data held out better, for certain.
+
+        A wrong gain of all drives shows at other joints than those whose own gain is wrong.
+        """
+        own = [i for i in apart.terms if self.fitter.terms[i].family == OWN_GAIN]
+        weak = int(np.count_nonzero(np.abs(apart.sizes[own]) > self.settings.apart))
+        drives = [term for term in self.fitter.terms if term.family == OWN_GAIN]
+        # Where most drives seem weak, it is the scale of the masses that is wrong.
+        if weak == 0 or 2 * weak > len(drives):
+            return False
+        alike = replace(apart, weights=shared.weights)
+        without = self.held_out(shared, self.tables(shared))
+        errors = self.held_out(alike, self.tables(alike))
+        fraction, z = _worth(without, errors)
+        certain = fraction > self.settings.improvement and z > self.settings.block_z
+        return certain and self._is_large(shared, apart.spread)
+
+    def _is_large(self, shared: Solution, spread: Array | float) -> bool:
+        """Whether a spread, (nv,) or 0, is less than that of common gains by a large force."""
+        forces = root_mean_square(self.fitter.forces(shared.delay))
+        explained = np.where(forces > 0, shared.spread, 0.0) ** 2 - np.square(spread)
+        return bool(np.any(explained > (self.settings.apart * forces) ** 2))
 
     def of_laws(self, solution: Solution) -> set[int]:
         """Find the chosen terms of a law that several joints have.
@@ -173,10 +210,11 @@ class Chooser:
         return solution
 
     def _candidates(self, families: dict[str, Group]) -> list[Group]:
-        """Whole families, single terms, and the gain of all drives."""
+        """Whole families, single terms, and the gain of all drives where they have no own."""
         whole = [family for family in families.values() if len(family) > 1]
-        common = [] if "gain" in families else [(GAIN,)]
-        return [*whole, *((i,) for i in range(len(self.fitter.terms))), *common]
+        singles = [(i,) for i in sorted(i for family in families.values() for i in family)]
+        common = [] if {"gain", OWN_GAIN} & set(families) else [(GAIN,)]
+        return [*whole, *singles, *common]
 
     def without_needless(self, solution: Solution, groups: Sequence[Group]) -> Solution:
         """Drop the groups, and the payload, that data held out do not ask for, one at a time.
@@ -269,8 +307,10 @@ class Chooser:
 
         The scale of masses and that of forces are one number: a gain, a payload or a mass fixes it.
         """
-        inertial = any(i != GAIN and self.fitter.terms[i].family in INERTIAL for i in new)
-        return inertial and (GAIN in solution.chosen or solution.payload is not None)
+        terms = self.fitter.terms
+        inertial = any(i != GAIN and terms[i].family in INERTIAL for i in new)
+        gains = GAIN in solution.chosen or any(terms[i].family == OWN_GAIN for i in solution.terms)
+        return inertial and (gains or solution.payload is not None)
 
     def certain(self, solution: Solution) -> Solution:
         """Drop the terms that are small, or not certain, when all are fitted together.
@@ -324,7 +364,7 @@ class Chooser:
         factors = fitter.factors(solution)
         share = np.zeros(len(fitter.terms))
         for i in solution.terms:
-            own = factors * solution.sizes[i] * fitter.columns[:, :, i]
+            own = factors * solution.sizes[i] * fitter.columns_at(solution.delay, [i])[:, :, 0]
             own = np.where(fitter.equation.used, own, np.nan)
             share[i] = float(
                 np.max(root_mean_square(own) / np.maximum(root_mean_square(drives), 1e-300))

@@ -22,7 +22,7 @@ from dropo.core.numerics.closing_grid import ClosingGridSettings, best_place
 from dropo.core.numerics.robust_statistics import deviation
 from dropo.core.services.validation import Array
 from dropo.diagnosis.regression.equation import Equation
-from dropo.diagnosis.regression.terms import Term, point_mass_slope
+from dropo.diagnosis.regression.terms import OWN_GAIN, Term, point_mass_slope
 from dropo.mjmodel.dynamics.body_regressors import point_mass
 
 GAIN = -1
@@ -168,6 +168,33 @@ class Fitter:
         """
         return np.asarray(self._drives(delay))
 
+    def columns_at(self, delay: float, terms: Sequence[int], order: int = 0) -> Array:
+        """Give the columns of terms at a delay of the commands: a drive's own gain depends on it.
+
+        Parameters
+        ----------
+        delay : float
+            The delay [s].
+        terms : sequence of int
+            Indices of K terms.
+        order : int
+            0 for the columns, 1 for their derivatives by the delay.
+
+        Returns
+        -------
+        (R, nv, K) array
+            A copy.
+        """
+        chosen = list(terms)
+        found = self.columns[:, :, chosen] if order == 0 else self.columns[:, :, chosen] * 0.0
+        gains = [k for k, i in enumerate(chosen) if self.terms[i].family == OWN_GAIN]
+        if gains:
+            drives = np.asarray(self._drives(delay, order))
+        for k in gains:
+            there = np.any(self.columns[:, :, chosen[k]] != 0, axis=0)
+            found[:, :, k] = np.where(there, -drives, 0.0)
+        return found
+
     def forces(self, delay: float) -> Array:
         """Give the drives' forces, or where there is no drive what the motion needs.
 
@@ -267,7 +294,8 @@ class Fitter:
         if solution.payload is not None:
             payload = self.payload_column(solution.payload) * scale
         target = self.drives(solution.delay) - np.where(driven, 0.0, self.equation.needed)
-        return needed, self.columns * scale[:, None], payload, target
+        terms = self.columns_at(solution.delay, range(len(self.terms)))
+        return needed, terms * scale[:, None], payload, target
 
     def solve(self, solution: Solution) -> Solution:
         """Fit the sizes, the gain and the payload's mass by least squares, robustly weighted.
@@ -459,7 +487,7 @@ class Fitter:
         The numbers are beta where it is free, the terms' sizes, the payload's mass and place, and
         the delay, in this order.
         """
-        columns = self.columns[:, :, solution.terms]
+        columns = self.columns_at(solution.delay, solution.terms)
         needed = self.equation.needed + columns @ solution.sizes[solution.terms]
         factors = self.factors(solution)
         by_row = factors[:, None]
@@ -474,7 +502,10 @@ class Fitter:
             parts.append(by_row * payload.mass * (by_inertia @ moved))
         if GAIN in solution.chosen:
             parts.insert(0, np.where(self.equation.driven, needed, 0.0)[:, :, None])
-        parts.append(-np.asarray(self._drives(solution.delay, 1))[:, :, None])
+        sizes = solution.sizes[solution.terms]
+        moved_gains = self.columns_at(solution.delay, solution.terms, order=1) @ sizes
+        by_delay = factors * moved_gains - np.asarray(self._drives(solution.delay, 1))
+        parts.append(by_delay[:, :, None])
         residuals = self.drives(solution.delay) - factors * needed
         return np.concatenate(parts, axis=2), residuals
 

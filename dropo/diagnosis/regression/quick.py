@@ -143,10 +143,22 @@ class QuickDiagnose:
         faults = wiring_faults(problem)
         estimate = estimate_missing(problem, fitted, self.settings)
         estimate = _with_bias(problem, fitted, estimate, self.settings)
+        free = GAIN in estimate.solution.chosen
         estimate = _with_scale(estimate, self.settings)
-        causes = [] if faults else self._causes(simulator, estimate)
+        numbers = estimate.numbers(simulator, self.settings.certain)
+        unknown = [number.label for number in numbers if number.unknown]
+        causes = [] if faults else self._causes(numbers, estimate)
         still = still_sentences(problem)
         warnings = [*problem.warnings, *still, *_warnings(simulator, estimate)]
+        if free and GAIN not in estimate.solution.chosen:
+            warnings.append(
+                "No motion tells the scale of all forces: the drives' gain is taken as it is."
+            )
+        if unknown:
+            warnings.append(
+                f"The data do not tell {', '.join(unknown)}, whose force is large: the error is "
+                "several times the number."
+            )
         try:
             equation = equation_of(
                 problem, checked, self.settings.equation, width=estimate.fitter.equation.width
@@ -160,7 +172,7 @@ class QuickDiagnose:
         extended = _extended(problem, estimate) if causes else problem
         return QuickDiagnosis(
             name=problem.name,
-            verdict=self._verdict(causes, forces, bool(faults)),
+            verdict=self._verdict(causes, forces, bool(faults or unknown)),
             causes=tuple(causes),
             faults=faults,
             forces=forces,
@@ -169,12 +181,12 @@ class QuickDiagnose:
             warnings=tuple(warnings),
         )
 
-    def _causes(self, simulator: RobotSimulator, estimate: "Missing") -> list[Cause]:
+    def _causes(self, numbers: "list[FoundNumber]", estimate: "Missing") -> list[Cause]:
         """Every number that is missing as a cause, the one that gains most first."""
         found = []
         blocks = len(np.unique(estimate.fitter.equation.block))
         tries = len(estimate.fitter.terms) + 3
-        for number in estimate.numbers(simulator, self.settings.certain):
+        for number in numbers:
             if not number.named:
                 continue
             gain, error = estimate.gain_without(number.index)
@@ -237,7 +249,10 @@ class QuickDiagnose:
         )
 
     def _verdict(self, causes: list[Cause], forces: tuple[JointForces, ...], faulty: bool) -> str:
-        """The finding in a word, by the forces that are left on data held out."""
+        """The finding in a word, by the forces that are left on data held out.
+
+        faulty: the wiring is wrong, or what explains a large force is not known.
+        """
         limit = self.settings.explained
         wrong = faulty or any(joint.after > limit * joint.drive for joint in forces)
         if causes:
@@ -259,6 +274,8 @@ class FoundNumber:
         Its quantities.
     named : bool
         Whether it is certain and large enough to be a cause.
+    unknown : bool
+        Whether its force is large, but its error is several times the number.
     """
 
     index: int | str
@@ -267,6 +284,12 @@ class FoundNumber:
     variant: str
     estimates: tuple[tuple[str, Estimate], ...]
     named: bool
+    unknown: bool
+
+    @property
+    def label(self) -> str:
+        """Such as "payload:hand"."""
+        return self.effect if self.target is None else f"{self.effect}:{self.target}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -337,8 +360,11 @@ class Missing:
             index: int | str, place: tuple[str, str | None, str], least: float, **sizes: Estimate
         ) -> None:
             first = next(iter(sizes.values()))
-            named = least == -np.inf or abs(first.value) > max(least, certain * first.se)
-            found.append(FoundNumber(index, *place, tuple(sizes.items()), named))
+            known = certain * abs(first.value) > first.se
+            asked = least == -np.inf
+            named = (asked and known) or abs(first.value) > max(least, certain * first.se)
+            unknown = asked and not known
+            found.append(FoundNumber(index, *place, tuple(sizes.items()), named, unknown))
 
         if GAIN in solution.chosen:
             gain = Estimate(solution.gain, errors.pop(0) / solution.beta**2, "1", 1.0)
@@ -363,7 +389,7 @@ class Missing:
                 # Motions may not tell a coordinate, such as the height where all axes are upright.
                 if error < self.fitter.reaches[payload.body]:
                     sizes[letter] = Estimate(float(value), error, "m", None)
-            # Data held out ask for it, however uncertain its mass beside the drives' gain.
+            # Data held out ask for it, if its mass is uncertain beside the drives' gain.
             add("payload", ("payload", name, ""), -np.inf, **sizes)
         # A simulation of the model acts early by itself: what is to be typed makes up for that.
         delay = Estimate(solution.delay - self.fitter.own_delay, errors.pop(0), "s", None)
@@ -563,7 +589,8 @@ class Missing:
         chosen = self.solution.chosen
         count = len(fitter.terms)
         # The gain's column comes last, so that GAIN is its index too.
-        columns = np.concatenate([fitter.columns, fitter.equation.needed[:, :, None]], axis=2)
+        terms = fitter.columns_at(self.solution.delay, range(count))
+        columns = np.concatenate([terms, fitter.equation.needed[:, :, None]], axis=2)
         columns = (columns * self.solution.weights[:, :, None]).reshape(-1, count + 1)
         others = [i for i in chosen if i != index]
         basis = np.linalg.qr(columns[:, others])[0] if others else np.zeros((len(columns), 0))
@@ -686,13 +713,22 @@ def _with_scale(estimate: Missing, settings: QuickSettings) -> Missing:
     solution = estimate.solution
     if GAIN not in solution.chosen:
         return estimate
+    if float(estimate.errors[0]) > solution.beta:
+        # Any gain would do: all numbers are those of the model's own.
+        estimate = estimate.with_own_gain()
+        return _with_scale_error(estimate, np.abs(_values(estimate.solution)), settings)
     alike = estimate.alternatives(GAIN, settings.same)
     if not any(one.effect == "joint_armature" for one in alike):
         return estimate
     sizes = np.abs(_values(solution))
     sizes[0] = 0.0  # the gain is one of those that are not told apart, and says so
+    return _with_scale_error(estimate, sizes, settings)
+
+
+def _with_scale_error(estimate: Missing, sizes: Array, settings: QuickSettings) -> Missing:
+    """The estimate, whose errors have a part of the sizes (k,) of the numbers that have a scale."""
     sizes[-1] = 0.0  # a delay has no scale
-    if solution.payload is not None:
+    if estimate.solution.payload is not None:
         sizes[-4:-1] = 0.0
     return replace(estimate, errors=np.hypot(estimate.errors, settings.scale * sizes))
 

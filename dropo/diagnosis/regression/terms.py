@@ -61,12 +61,14 @@ class Term:
 
 LAWS = ("armature", "damping", "friction")
 """Families that every joint of a machine has: they are tried first, at all joints together."""
+OWN_GAIN = "own gain"
+"""The family of the drives' own gains beside the gain that all of them share."""
 INERTIAL = ("mass", "com")
 """Families of terms whose scale is that of the masses."""
 
 
 def terms_of(simulator: RobotSimulator, equation: Equation) -> list[Term]:
-    """List the terms of a robot but for gains, delays and payloads, which are not linear.
+    """List the terms of a robot but for the drives' common gain, delays and payloads.
 
     Parameters
     ----------
@@ -86,6 +88,8 @@ def terms_of(simulator: RobotSimulator, equation: Equation) -> list[Term]:
         found += _joint_terms(model, joint, equation)
     if equation.by_joint:  # the weight of a free base fixes the scale of each drive
         found += _gain_terms(model, equation)
+    else:
+        found += _own_gain_terms(model, equation)
     if np.any(gravity(model)):
         found += _tilt_terms(model, equation)
     for k, (body, name) in enumerate(moving_bodies(model)):
@@ -154,6 +158,7 @@ def _joint_terms(model: Model, joint: Joint, equation: Equation) -> list[Term]:
             equation.column("position", dof) - own.rest * equation.column("one", dof),
             "stiffness",
             base=own.stiffness,
+            bounded=True,
         ),
         term(
             "joint_stiffness",
@@ -182,15 +187,39 @@ def _joint_terms(model: Model, joint: Joint, equation: Equation) -> list[Term]:
 
 def _gain_terms(model: Model, equation: Equation) -> list[Term]:
     """The gain of each drive that acts at a joint alone."""
+    found = []
+    for name, dof in _lone_drives(model):
+        column = -equation.column("drive", dof)
+        found.append(_gain_term(name, "gain", column))
+    return found
+
+
+def _own_gain_terms(model: Model, equation: Equation) -> list[Term]:
+    """The gain of each of several drives, beside the one that they share."""
+    lone = _lone_drives(model)
+    if len(lone) < 2:  # a drive by itself has no gain beside the common one
+        return []
+    found = []
+    for name, dof in lone:
+        column = np.zeros_like(equation.needed)
+        column[:, dof] = -equation.drives[0, :, dof]
+        found.append(_gain_term(name, OWN_GAIN, column))
+    return found
+
+
+def _gain_term(drive: str, family: str, column: Array) -> Term:
+    """The gain of a drive, whose force at each row is that of the column with the other sign."""
+    return Term("actuator_gain", drive, "", "gain", "1", -1.0, 1.0, 0.0, family, column)
+
+
+def _lone_drives(model: Model) -> list[tuple[str, int]]:
+    """The drives that act at a joint alone, with its degree of freedom."""
     drives = actuators(model)
     places = [drive.joint.id for drive in drives if drive.joint is not None]
     found = []
     for drive in drives:
-        if drive.joint is None or places.count(drive.joint.id) > 1:
-            continue
-        column = -equation.column("drive", drive.joint.qvel)
-        place = ("actuator_gain", drive.name, "")
-        found.append(Term(*place, "gain", "1", -1.0, 1.0, 0.0, "gain", column))
+        if drive.joint is not None and places.count(drive.joint.id) == 1:
+            found.append((drive.name, drive.joint.qvel))
     return found
 
 

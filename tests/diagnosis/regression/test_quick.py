@@ -8,11 +8,13 @@ import pytest
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import BadArgument, Incompatible
 from dropo.diagnosis.findings.fittable import fittable
-from dropo.diagnosis.regression.quick import QuickDiagnose
+from dropo.diagnosis.regression.quick import QuickDiagnose, QuickSettings, estimate_missing
+from dropo.diagnosis.search.library import robot_of
 from dropo.problems.file.writer import write_problem
 from dropo.problems.hopper.problem import hopper
 from dropo.problems.loading import load
 from dropo.studies.first_models.machines import (
+    DESIGNS,
     Design,
     built,
     first_model,
@@ -22,7 +24,7 @@ from dropo.studies.first_models.machines import (
 )
 from dropo.studies.first_models.study import diagnosed
 from tests.models.fast_servo import fast_servo_problem
-from tests.models.first_models import problem_with, unknown_rotor
+from tests.models.first_models import problem_with, recorded_machine, unknown_rotor
 from tests.models.furuta import ARMATURE, DAMPING, FRICTION, furuta_problem
 
 TOLERANCE = 4.0
@@ -104,6 +106,10 @@ def test_what_motions_do_not_tell_of_a_payload_is_not_said():
     diagnosis = QuickDiagnose().run(problem_of("upright", first_model(design), data))
     payload = by_label(diagnosis)["payload", "body1"]
     assert "z" not in payload
+    assert any("scale of all forces" in sentence for sentence in diagnosis.warnings)
+    for (effect, target), estimate in by_label(diagnosis).items():
+        first = next(iter(estimate.values()))
+        assert first.se < abs(first.value), (effect, target)
     for letter in set("xy") & set(payload):
         value = machine.place["xyz".index(letter)]
         assert abs(payload[letter].value - value) < TOLERANCE * payload[letter].se
@@ -135,6 +141,67 @@ def test_a_payload_on_a_slide_is_no_gain():
         if estimate is not None:
             assert abs(estimate.value - value) < TOLERANCE * estimate.se, (effect, target, estimate)
     assert ("payload", "body2") in estimates
+
+
+def weak_drive(gain):
+    """The problem of an arm whose drives have these gains, and no payload."""
+    design = DESIGNS["arm, 3 joints"]
+    machine, spec, _ = recorded_machine("arm, 3 joints", np.random.default_rng(31), runs=1)
+    machine = replace(machine, gain=np.array(gain), payload=0.0)
+    made = built(spec, machine)
+    data = recorded(made, design.servos, machine.delay, np.random.default_rng(32), runs=1)
+    return problem_of("one weak drive", spec, data)
+
+
+def gains_of(diagnosis):
+    """The gains that are named, by drive."""
+    causes = [cause for cause in diagnosis.causes if cause.effect == "actuator_gain"]
+    return {cause.target: cause.estimate["gain"] for cause in causes}
+
+
+def test_a_drive_may_have_a_gain_of_its_own():
+    """One drive gives less than its command says, the others do not: no gain of all is named."""
+    gains = gains_of(QuickDiagnose().run(weak_drive([0.0, -0.25, 0.0])))
+    assert set(gains) == {"drive1"}
+    assert abs(gains["drive1"].value + 0.25) < TOLERANCE * gains["drive1"].se
+    assert gains["drive1"].se < 0.05
+
+
+def test_a_weak_drive_beside_an_offset_elsewhere():
+    """The offset of one joint is no reason to call all drives weak."""
+    problem = changed(weak_drive([0.0, 0.0, -0.3]), commands=lambda rows: rows - [0, 0.05, 0])
+    diagnosis = QuickDiagnose().run(problem)
+    gains = gains_of(diagnosis)
+    assert set(gains) == {"drive2"}
+    assert abs(gains["drive2"].value + 0.3) < TOLERANCE * gains["drive2"].se
+    assert ("joint_stiffness", "joint1") in by_label(diagnosis)
+
+
+def test_no_spring_pushes_away():
+    """A command that falls behind with the angle is like a spring below 0, which there is none."""
+    problem = weak_drive([0.0, 0.0, 0.0])
+    data = problem.trajectories
+    behind = data.actions - data.observations * [0, 0.1, 0]
+    problem = replace(
+        problem,
+        trajectories=Trajectories(
+            data.observations, behind, data.next_observations, data.terminals
+        ),
+    )
+    for estimate in by_label(QuickDiagnose().run(problem)).values():
+        assert "stiffness" not in estimate or estimate["stiffness"].value > 0
+
+
+def test_numbers_that_are_not_known_are_not_named():
+    """However large a force is: where its number's error exceeds it, the number says nothing."""
+    problem = problem_with("arm, 3 joints", np.random.default_rng(35), runs=1)[1]
+    settings = QuickSettings()
+    found = estimate_missing(problem, problem.trajectories, settings)
+    assert found.solution.payload is not None
+    unknown = replace(found, errors=np.full(len(found.errors), 300.0))
+    numbers = unknown.numbers(robot_of(problem), settings.certain)
+    assert not [number for number in numbers if number.named]
+    assert ("payload", True) in [(number.effect, number.unknown) for number in numbers]
 
 
 def test_numbers_share_a_scale_that_no_motion_tells():
