@@ -289,7 +289,7 @@ class FarOffSearch:
         model = self._with_own_gains(model, sides)
         model = self._with_families(model, sides)
         model = self._without_needless(model, sides)
-        model = self._with_exact_steps(model, sides)
+        model = self._with_steps_that_last(model, sides)
         if whole.trajectories is not model.problem.trajectories:
             model = model.with_data_of(whole)
             chosen = settings.motions
@@ -320,6 +320,19 @@ class FarOffSearch:
         enough = least + (1 - self.settings.steps.nearly) * abs(as_it_is - least)
         chosen = next(arithmetic for cost, arithmetic in left if cost <= enough)
         return self._better(model, replace(model, arithmetic=chosen), sides)
+
+    def _with_steps_that_last(self, model: FarOffModel, sides: _Sides) -> FarOffModel:
+        """More exact steps where motions ask for them beside all that was found, and only there.
+
+        What a model still lacked when steps were compared first may have looked like them.
+        """
+        if model.arithmetic is None:
+            return self._with_exact_steps(model, sides)
+        own = self._fit(replace(model, arithmetic=None), sides.few, self.settings.rough_fit)
+        if self._is_better(model, own, sides):
+            return model
+        self._latest = own, sides.fitted
+        return own
 
     def _with_own_gains(self, model: FarOffModel, sides: _Sides) -> FarOffModel:
         """A gain for each drive, where that is better than one for all, or as good as a payload.

@@ -34,6 +34,7 @@ def test_a_group_that_motions_ask_for_is_added(found):
     labels = [instance.label for instance, _ in found.model.numbers]
     assert labels == ["actuator_gain", "joint_armature:shoulder", "joint_armature:elbow"]
     assert found.certain == {"joint_armature:elbow"}
+    assert found.own_steps  # the data are of the model's own steps
     error = found.errors[-1]
     assert abs(found.model.theta[-1] - TRUTH) < 4 * error < 0.4 * TRUTH
 
