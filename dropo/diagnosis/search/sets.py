@@ -106,6 +106,8 @@ class Gram:
         Of the whitened residuals.
     steps : int
         Transitions in the windows.
+    ridge : float
+        As of `SetSettings`.
     """
 
     products: Array
@@ -116,6 +118,7 @@ class Gram:
     multiples: Array
     variance: float
     steps: int
+    ridge: float
 
     def exchange(self, removed: tuple[int, ...], added: tuple[int, ...]) -> Exchange | None:
         """Evaluate a set.
@@ -136,7 +139,7 @@ class Gram:
         target[[0, *(1 + i for i in removed)]] = 1.0
         kept = 1 + n + np.flatnonzero(~np.isin(self.owner, removed))
         columns = np.concatenate([kept, 1 + n + f + np.array(added, dtype=int)]).astype(int)
-        sizes, left = _solved(self.products, target, columns)
+        sizes, left = _solved(self.products, target, columns, self.ridge)
         multiples = sizes[len(kept) :]
         low, high = self.multiples[list(added)].T
         if np.any(multiples <= low) or np.any(multiples > high):
@@ -156,7 +159,7 @@ class Gram:
         )
 
 
-def _solved(products: Array, target: Array, columns: Array) -> tuple[Array, float]:
+def _solved(products: Array, target: Array, columns: Array, ridge: float) -> tuple[Array, float]:
     """The sizes of columns that explain a target best, and the sum of squares that is left."""
     own = products @ target
     total = float(target @ own)
@@ -164,7 +167,7 @@ def _solved(products: Array, target: Array, columns: Array) -> tuple[Array, floa
         return np.zeros(0), total
     gram = products[np.ix_(columns, columns)]
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    scaled = gram / np.outer(scale, scale) + SETTINGS.ridge * np.eye(len(columns))
+    scaled = gram / np.outer(scale, scale) + ridge * np.eye(len(columns))
     sizes = np.linalg.solve(scaled, own[columns] / scale) / scale
     return sizes, total - float(sizes @ own[columns])
 
@@ -274,7 +277,7 @@ class SetSearch:
         pool = self._pool(state)
         if not pool:
             return []
-        gram = gram_of(selection.library, state, pool)
+        gram = gram_of(selection.library, state, pool, self.settings)
         found: list[State] = []
         for exchange in self._exchanges(gram):
             if len(found) >= self.settings.refitted:
@@ -347,7 +350,12 @@ class SetSearch:
         yield from promising
 
 
-def gram_of(library: Library, state: State, pool: Sequence[tuple[EffectInstance, Array]]) -> Gram:
+def gram_of(
+    library: Library,
+    state: State,
+    pool: Sequence[tuple[EffectInstance, Array]],
+    settings: SetSettings = SETTINGS,
+) -> Gram:
     """Return the products of all responses at a model.
 
     Parameters
@@ -358,6 +366,8 @@ def gram_of(library: Library, state: State, pool: Sequence[tuple[EffectInstance,
         The model.
     pool : sequence of (EffectInstance, (q,) array)
         The k effects that may join, with the magnitudes at which they are simulated.
+    settings : SetSettings
+        Of which the ridge is used.
 
     Returns
     -------
@@ -405,6 +415,7 @@ def gram_of(library: Library, state: State, pool: Sequence[tuple[EffectInstance,
         np.array(multiples),
         variance,
         train.windows.steps,
+        settings.ridge,
     )
 
 
