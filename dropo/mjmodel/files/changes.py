@@ -29,31 +29,49 @@ def changed_elements(old: str, new: str) -> Iterator[str]:
     for path, element in before.items():
         # What is as by default is not written.
         if path not in after and element.attrib:
-            gone_with_it = ", ".join(f'{key}="{value}"' for key, value in element.attrib.items())
-            yield f"<!-- {' > '.join(_readable(path))}: was {gone_with_it}, now without -->"
+            yield _comment(path, f"was {_typed(element.attrib, ', ')}, now without")
             yield f"<{element.tag}/>"
     for path, element in after.items():
         kept = before.get(path)
-        had = {} if kept is None else kept.attrib
-        new_ones = {key: value for key, value in element.attrib.items() if had.get(key) != value}
-        gone = [key for key in had if key not in element.attrib]
-        if not new_ones and not gone and kept is not None:
-            continue
-        known = next(((key, had[key]) for key in KEYS if key in had and key not in new_ones), None)
-        shown = ({known[0]: known[1]} if known else {}) | new_ones
-        if element.tag in WHOLE:
-            shown = element.attrib
-        text = " ".join(f'{key}="{value}"' for key, value in shown.items())
-        was = [f'{key}="{had[key]}"' for key in new_ones if key in had]
-        was += [f'{key}="{had[key]}", now without' for key in gone]
-        added = [key for key in new_ones if key not in had]
-        remark = "was " + ", ".join(was) if was else ""
-        if added:
-            remark += f"{'; ' * bool(remark)}new: {', '.join(added)}"
         if kept is None:
-            remark = "new element"
-        yield f"<!-- {' > '.join(_readable(path))}: {remark} -->"
-        yield f"<{element.tag} {text}/>"
+            yield _comment(path, "new element")
+            yield f"<{element.tag} {_typed(_shown({}, element))}/>"
+        elif kept.attrib != element.attrib:
+            yield _comment(path, _remark(kept.attrib, element.attrib))
+            yield f"<{element.tag} {_typed(_shown(kept.attrib, element))}/>"
+
+
+def _comment(path: tuple[str, ...], remark: str) -> str:
+    """Where an element is, and what it was."""
+    return f"<!-- {' > '.join(_readable(path))}: {remark} -->"
+
+
+def _typed(attributes: dict[str, str], between: str = " ") -> str:
+    """Attributes as MJCF has them."""
+    return between.join(f'{key}="{value}"' for key, value in attributes.items())
+
+
+def _shown(had: dict[str, str], element: ET.Element) -> dict[str, str]:
+    """The attributes of an element that are typed: those that change, and one to know it by."""
+    if element.tag in WHOLE:
+        return element.attrib
+    changed = {key: value for key, value in element.attrib.items() if had.get(key) != value}
+    known = [key for key in KEYS if key in had and key not in changed]
+    return {key: had[key] for key in known[:1]} | changed
+
+
+def _remark(had: dict[str, str], has: dict[str, str]) -> str:
+    """What became of an element's attributes."""
+    changed = [key for key in has if key in had and had[key] != has[key]]
+    was = [f'{key}="{had[key]}"' for key in changed]
+    was += [f'{key}="{value}", now without' for key, value in had.items() if key not in has]
+    added = [key for key in has if key not in had]
+    said = []
+    if was:
+        said.append("was " + ", ".join(was))
+    if added:
+        said.append("new: " + ", ".join(added))
+    return "; ".join(said)
 
 
 def _elements(
@@ -62,9 +80,8 @@ def _elements(
     """Every element with its path, whose steps hold a name, or a number among their kind."""
     seen: dict[str, int] = {}
     for child in element:
-        name = next((child.attrib[key] for key in KEYS[:1] if key in child.attrib), "")
         seen[child.tag] = seen.get(child.tag, 0) + 1
-        path = (*above, f"{child.tag} {name or seen[child.tag]}")
+        path = (*above, f"{child.tag} {child.get('name') or seen[child.tag]}")
         yield path, child
         yield from _elements(child, path)
 
