@@ -1,5 +1,7 @@
 """How data are cut into windows to fit and windows held out."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -46,3 +48,14 @@ def test_too_few_windows_are_refused_with_the_number_needed():
         BadArgument, match=r"at least 8 windows of 5 steps to fit. Got 1.* about 192 transitions"
     ):
         split(Problem("mass", Mass(), measured({}, episodes=1, steps=12)), 5, 96)
+
+
+def test_starts_that_were_estimated_have_their_errors():
+    """Of both sides; what was measured has the noise's, and where nothing was estimated the search
+    finds them all.
+    """
+    problem = Problem("mass", Mass(), measured({}))
+    first, *others = [signal.name for signal in problem.simulator.signals]
+    for windows in split(replace(problem, estimated={first: 0.3}), 5, 40):
+        np.testing.assert_array_equal(windows.start_sd, [0.3, *[np.inf] * len(others)])
+    assert [windows.start_sd for windows in split(problem, 5, 40)] == [None, None]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dropo.core.records.trajectories import Signal
-from dropo.diagnosis.findings.accuracy.horizons import LOST, OF_MOTION, _horizon
+from dropo.diagnosis.findings.accuracy.horizons import LOST, OF_MOTION, _horizon, signal_noise
 from dropo.evaluation.held_out import HorizonErrors
 
 SIGNALS = (Signal("angle", "rad"), Signal("speed", "rad/s"))
@@ -47,3 +47,18 @@ def test_small_errors_are_as_they_are():
     assert found.lost == 0
     assert found.capped["rad/s"] == pytest.approx(found.units["rad/s"][0])
     assert found.capped[OF_MOTION] == pytest.approx(found.rmse)
+
+
+def test_what_was_estimated_has_the_noise_of_its_error():
+    """Where it is less than what windows make of it; else, and of what was measured, theirs."""
+    last = SimpleNamespace(
+        train=SimpleNamespace(whiten=SimpleNamespace(sigma=np.array([0.1, 2.0])))
+    )
+
+    def noise(estimated):
+        problem = SimpleNamespace(simulator=SimpleNamespace(signals=SIGNALS), estimated=estimated)
+        return signal_noise(problem, last).tolist()
+
+    assert noise({}) == [0.1, 2.0]
+    assert noise({"speed": 0.5}) == [0.1, 0.5]
+    assert noise({"speed": 3.0}) == [0.1, 2.0]
