@@ -29,7 +29,6 @@ from dropo.diagnosis.findings.accuracy.every_horizon import (
 )
 from dropo.diagnosis.findings.accuracy.horizons import (
     AfterHorizon,
-    Horizon,
     after_horizons,
     errors_after,
     horizons,
@@ -48,7 +47,11 @@ from dropo.diagnosis.findings.premises.numerics import numerics, refused_delay, 
 from dropo.diagnosis.findings.premises.still import Held, hold_still
 from dropo.diagnosis.findings.remains.disturbances import left_out, outlier_runs
 from dropo.diagnosis.findings.remains.remaining import are_measured, remaining
-from dropo.diagnosis.findings.remains.unexplained_forces import impulses, without_impulses
+from dropo.diagnosis.findings.remains.unexplained_forces import (
+    Unexplained,
+    impulses,
+    without_impulses,
+)
 from dropo.diagnosis.findings.stability import stability
 from dropo.diagnosis.findings.to_type import to_type
 from dropo.diagnosis.laws.discovery import LawSettings, WithLaws, find_laws
@@ -429,124 +432,119 @@ class Diagnose:
         self, task: "_Task", setup: "_Setup", searched: "_Searched", progress: Progress
     ) -> Diagnosis:
         """What a search found, in figures; of one that was interrupted, only what is soon found."""
-        data = setup.problem
-        undisturbed = task.undisturbed
-        library, selection = setup.library, setup.selection
-        show = selection.progress
-        far_off = setup.explained is not None
-        spent = task.spent
-        if setup.explained is not None:
-            spent += setup.explained.simulator_steps
-        first, last, reviews = searched.first, searched.last, searched.reviews
-        complete = not searched.interrupted
-        show(0.9, "what remains")
-        rest, forces = remaining(data, library, last, selection.floor, task.rng)
-        simulator = robot_of(data)
-        extended = _extended(data, library, last)
-        declared = last.theta[: len(data.space)]
-        laws = searched.laws
-
+        library, selection, last = setup.library, setup.selection, searched.last
+        selection.progress(0.9, "what remains")
+        rest, forces = remaining(setup.problem, library, last, selection.floor, task.rng)
         further = self._further(setup, searched, rest, task.rng)
         if further is not None:
             return self._result(task, *further, progress)
-
-        # How good each model is on data held out.
         (draws,) = task.rng.spawn(1)
-        withouts = [reviews[one.label].without.theta for one in last.accepted] if complete else []
-        thetas = [nominal_of(library), first.theta, last.theta]
-        after, of_each = self._errors_after(setup, last, thetas, withouts, draws)
+        after, of_each = self._errors_after(setup, searched, draws)
         worse = self._worse(of_each, searched)
+        far_off = setup.explained is not None
         if worse and not far_off and len(setup.worse) < self.settings.horizons.refused:
             further = _without_worse(setup, searched, *next(iter(worse.items())))
             return self._result(task, *further, progress)
-        whole = of_each if complete else ()
-        errors = _errors_without_and_with(data, library, last, reviews, whole)
-        if complete and not far_off:
-            reviews = beside_the_rest(library, last, reviews)
-        found = causes(
+        if not far_off and not searched.interrupted:
+            reviews = beside_the_rest(library, last, searched.reviews)
+            searched = replace(searched, reviews=reviews)
+        found = self._causes(setup, searched, of_each, worse.keys())
+        if far_off and not found and not searched.interrupted:
+            # Motions do not bear out what regression finds.
+            spent = setup.spent(task)
+            return self._plain._run(replace(task, spent=spent), progress)
+        return self._reported(
+            task, setup, searched, _Findings(found, worse, after, rest, forces, draws)
+        )
+
+    def _causes(
+        self,
+        setup: "_Setup",
+        searched: "_Searched",
+        after: Sequence[AfterHorizon],
+        worse: Collection[str],
+    ) -> tuple[Cause, ...]:
+        """The effects that were accepted, as causes.
+
+        after: errors of models, those without each effect among them.
+        worse: labels of effects with which errors after some horizon are larger.
+        """
+        library, last, reviews, laws = setup.library, searched.last, searched.reviews, searched.laws
+        complete = not searched.interrupted
+        whole = after if complete else ()
+        tried = setup.count if laws is None else setup.count + laws.tried
+        return causes(
             library,
             last,
             reviews,
-            setup.count if laws is None else setup.count + laws.tried,
-            errors,
-            selection.settings,
+            tried,
+            _errors_without_and_with(setup.problem, library, last, reviews, whole),
+            setup.selection.settings,
             CAUSES if complete else replace(CAUSES, experiments=0),
             known=setup.errors(),
-            named=setup.certain(last) - worse.keys(),
-            again=partial(stability, selection, partial(self._train, data)) if complete else None,
+            named=setup.certain(last) - set(worse),
+            again=partial(stability, setup.selection, partial(self._train, setup.problem))
+            if complete
+            else None,
             laws={} if laws is None else laws.laws,
         )
-        if far_off and not found and complete:
-            # Motions do not bear out what regression finds.
-            spent += library.simulator.steps
-            return self._plain._run(replace(task, spent=spent), progress)
-        nominal, fitted, with_causes = (tuple(one.models[i] for one in after) for i in range(3))
-        # With disturbances the windows' own horizon alone, on all data held out.
-        inside: list[list[Horizon]] = []
-        if undisturbed is not None:
-            own = replace(HELD_OUT, horizons=())
-            inside = horizons(task.problem, library, thetas[:3], last, draws, own)
-        rest, beyond = self._after_every_horizon(setup, after, last, rest, draws)
 
-        # What figures and tables show.
-        show(0.95, "what the pictures show")
-        figures = figure_data(library, selection, first, last, reviews, forces, setup.count)
-        shown = motion(data, library, first, last, fitted, with_causes)
+    def _reported(
+        self, task: "_Task", setup: "_Setup", searched: "_Searched", findings: "_Findings"
+    ) -> Diagnosis:
+        """The diagnosis, with what figures and tables show."""
+        data, library, selection = setup.problem, setup.library, setup.selection
+        first, last = searched.first, searched.last
+        complete = not searched.interrupted
+        far_off = setup.explained is not None
+        after, draws = findings.after, findings.draws
+        nominal, fitted, with_causes = (tuple(one.models[i] for one in after) for i in range(3))
+        disturbances = None
+        if task.undisturbed is not None:
+            # With disturbances the windows' own horizon alone, on all data held out.
+            thetas = [nominal_of(library), first.theta, last.theta]
+            own = replace(HELD_OUT, horizons=())
+            inside = horizons(task.problem, library, thetas, last, draws, own)
+            disturbances = left_out(task.undisturbed, inside)
+        rest, beyond = self._after_every_horizon(setup, after, last, findings.rest, draws)
+        selection.progress(0.95, "what the pictures show")
+        extended = _extended(data, library, last)
+        declared = last.theta[: len(data.space)]
+        parameters = dict(zip(data.space.names, declared.tolist(), strict=True))
         compared = self.disturbances and not (rest.calibrated or far_off) and complete
-        verdict = _verdict(found, not rest.calibrated)
-        fitted_parameters = dict(zip(data.space.names, declared.tolist(), strict=True))
+        verdict = _verdict(findings.causes, not rest.calibrated)
         return Diagnosis(
             name=data.name,
             verdict=verdict,
-            causes=found,
+            causes=findings.causes,
             suspects=suspects(selection, last, setup.count),
-            leaders=(
-                *setup.worse.values(),
-                *(one for label, one in worse.items() if label in setup.certain(last)),
-                *leaders(selection, last, setup.count),
-            ),
+            leaders=_leaders(setup, last, findings.worse),
             baseline=HeldOut(per_step(first), fitted),
             extended=HeldOut(per_step(last), with_causes),
             remaining=rest,
             problem=extended,
             detectable=self._detectable(setup, searched, verdict),
-            noise={
-                signal.name: float(size)
-                for signal, size in zip(simulator.signals, signal_noise(data, last), strict=True)
-            },
+            noise=_noise_by_signal(data, last),
             window_steps=setup.train.length,
             nominal=nominal if len(setup.free) and not far_off else (),
-            parameters=fitted_parameters,
+            parameters=parameters,
             undetermined=(*undetermined(library, last), *setup.ties),
-            numerics=(
-                *numerics(
-                    task.came,
-                    data,
-                    library,
-                    first,
-                    last,
-                    found,
-                    selection.floor,
-                    # Numbers of whole motions gain by being fitted to windows, whatever the steps.
-                    unexplained=not (rest.calibrated or far_off),
-                ),
-                *setup.refused.values(),
-            )
-            if complete
-            else (),
-            to_type=to_type(task.came, extended, fitted_parameters),
-            disturbances=None if undisturbed is None else left_out(undisturbed, inside),
+            numerics=_numerics(task, setup, searched, findings.causes, rest) if complete else (),
+            to_type=to_type(task.came, extended, parameters),
+            disturbances=disturbances,
             outlier_runs=outlier_runs(data, extended, declared) if compared else (),
             replay=_replayed(setup, searched) if far_off and complete else None,
-            figures=figures,
-            motion=shown,
+            figures=figure_data(
+                library, selection, first, last, searched.reviews, findings.forces, setup.count
+            ),
+            motion=motion(data, library, first, last, fitted, with_causes),
             warnings=(
                 *data.warnings,
                 *setup.warnings_of(last),
                 *_not_white(library, last, data.estimated),
                 *beyond,
             ),
-            simulator_steps=spent + library.simulator.steps,
+            simulator_steps=setup.spent(task),
             interrupted=searched.interrupted,
         )
 
@@ -604,18 +602,18 @@ class Diagnose:
         return setup, _Searched(laws.first, laws.last, laws.reviews, laws=laws)
 
     def _errors_after(
-        self,
-        setup: "_Setup",
-        last: State,
-        thetas: Sequence[Array],
-        withouts: Sequence[Array],
-        rng: np.random.Generator,
+        self, setup: "_Setup", searched: "_Searched", rng: np.random.Generator
     ) -> tuple[list[AfterHorizon], list[AfterHorizon]]:
-        """The errors of models after every horizon, then those of others too.
+        """The errors after every horizon of three models, as the model came, with its parameters
+        fitted and with everything, then those without each effect too, where that was reviewed.
 
         Of a model that is far off the others are many: they are compared in fewer windows.
         """
-        data, library = setup.problem, setup.library
+        data, library, last = setup.problem, setup.library, searched.last
+        thetas = [nominal_of(library), searched.first.theta, last.theta]
+        withouts = []
+        if not searched.interrupted:
+            withouts = [searched.reviews[one.label].without.theta for one in last.accepted]
         if setup.explained is None:
             after = after_horizons(data, library, [*thetas, *withouts], last, rng)
             return after, after
@@ -889,6 +887,11 @@ class _Setup:
         """What whole motions tell only together, a sentence each."""
         return () if self.explained is None else self.explained.ties
 
+    def spent(self, task: _Task) -> int:
+        """Simulator steps of a diagnosis so far."""
+        in_motions = 0 if self.explained is None else self.explained.simulator_steps
+        return task.spent + in_motions + self.library.simulator.steps
+
     def errors(self) -> Array | None:
         """Standard errors (m,) of all numbers, where whole motions say how large they are."""
         return None if self.explained is None else self._padded(self.explained.errors)
@@ -923,6 +926,21 @@ class _Searched:
     reviews: Mapping[str, Review]
     interrupted: bool = False
     laws: WithLaws | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class _Findings:
+    """What is said of a search's end: its causes, those of its effects with which errors after some
+    horizon are larger, by label, the errors of three models after every horizon, what remains, the
+    forces that nothing explains, and draws for what is still to be asked.
+    """
+
+    causes: tuple[Cause, ...]
+    worse: Mapping[str, Leader]
+    after: Sequence[AfterHorizon]
+    rest: Remaining
+    forces: Unexplained
+    draws: np.random.Generator
 
 
 def _with_noise_left(setup: _Setup, before: State | None, settings: WhitenessSettings) -> _Setup:
@@ -1138,6 +1156,46 @@ def _without_trials(batch: Batch, refused: Collection[str]) -> Batch:
     """A batch without the trials of some effects, by their labels."""
     kept = [trial for trial in batch.trials if trial.candidate.instance.label not in refused]
     return replace(batch, trials=kept)
+
+
+def _leaders(setup: _Setup, last: State, worse: Mapping[str, Leader]) -> tuple[Leader, ...]:
+    """What is not confirmed: what makes errors after some horizon larger first."""
+    certain = setup.certain(last)
+    return (
+        *setup.worse.values(),
+        *(one for label, one in worse.items() if label in certain),
+        *leaders(setup.selection, last, setup.count),
+    )
+
+
+def _noise_by_signal(problem: Problem, last: State) -> dict[str, float]:
+    """The standard deviation of each signal's noise."""
+    signals = robot_of(problem).signals
+    sizes = signal_noise(problem, last)
+    return {signal.name: float(size) for signal, size in zip(signals, sizes, strict=True)}
+
+
+def _numerics(
+    task: _Task,
+    setup: _Setup,
+    searched: _Searched,
+    found: Sequence[Cause],
+    rest: Remaining,
+) -> tuple[str, ...]:
+    """What the integrator and its steps do, and the delays that are not told from them."""
+    # Numbers of whole motions gain by being fitted to windows, whatever the steps.
+    unexplained = not (rest.calibrated or setup.explained is not None)
+    said = numerics(
+        task.came,
+        setup.problem,
+        setup.library,
+        searched.first,
+        searched.last,
+        found,
+        setup.selection.floor,
+        unexplained=unexplained,
+    )
+    return (*said, *setup.refused.values())
 
 
 def _errors_without_and_with(
