@@ -153,7 +153,6 @@ def run(arguments: argparse.Namespace) -> int:
 def _run(arguments: argparse.Namespace, folder: RunFolder) -> int:
     """Diagnose, print and save; the exit status."""
     from dropo.cli.support.record import diagnosis_record, keep_for_report
-    from dropo.core.services.errors import DropoError
     from dropo.core.services.files.evaluation_log import EvaluationLog
     from dropo.diagnosis.findings.fittable import fittable
     from dropo.problems.file.plain_model import write_extended
@@ -164,13 +163,8 @@ def _run(arguments: argparse.Namespace, folder: RunFolder) -> int:
         return _compare(arguments, problem, record, folder)
     folder.claim(record)
     log = EvaluationLog(folder.file(SEARCH), record)
-    try:
+    with folder.going_on_from(SEARCH):
         found = _diagnosis(arguments, problem, log, folder)
-    except KeyboardInterrupt:
-        if arguments.out is None:
-            raise
-        kept = "Interrupted before there was a result: the same command goes on from here."
-        raise DropoError(kept) from None
 
     def save() -> None:
         if arguments.out is not None:

@@ -30,6 +30,8 @@ OTHERS = (
 SETTINGS = (*NAMED, *OTHERS)
 """Options that are settings of the method; those of them that were given are handed to it."""
 AUTO = "auto"
+EVALUATIONS = "evaluations.jsonl"
+"""What a search has evaluated, from which an interrupted fit goes on."""
 
 
 def add(commands: Any) -> None:
@@ -173,6 +175,7 @@ def _run(arguments: argparse.Namespace, folder: RunFolder) -> int:
     from dropo.core.contracts.support.fit_by_name import estimator_for
     from dropo.core.records.fits.fit import Fit, Status
     from dropo.core.records.fits.fit_choices import ExcludedSpan, ExcludedSpans
+    from dropo.core.services.errors import DropoError
     from dropo.core.services.files.evaluation_log import EvaluationLog
     from dropo.core.services.files.progress_file import PROGRESS
     from dropo.estimators.support.segment_length import ChooseHorizon
@@ -194,10 +197,10 @@ def _run(arguments: argparse.Namespace, folder: RunFolder) -> int:
         estimator = ChooseHorizon(estimator)
         record = {**record, "lambda": AUTO}
     folder.claim(record)
-    evaluation_log = EvaluationLog(folder.file("evaluations.jsonl"), record)
+    evaluation_log = EvaluationLog(folder.file(EVALUATIONS), record)
     progress = Progress(silent=arguments.quiet, path=folder.file(PROGRESS))
     try:
-        with progress.answering():
+        with progress.answering(), folder.going_on_from(EVALUATIONS):
             fit = estimator.fit(
                 problem, rng=arguments.seed, evaluation_log=evaluation_log, progress=progress
             )
@@ -208,9 +211,14 @@ def _run(arguments: argparse.Namespace, folder: RunFolder) -> int:
         fit = replace(fit, excluded=ExcludedSpans(excluded))
 
     def save() -> None:
-        if arguments.out is not None:
-            fit.save(arguments.out)
+        if arguments.out is None:
+            return
+        fit.save(arguments.out)
+        try:
             keep_for_report(arguments, predict(problem, fit))
+        except KeyboardInterrupt:
+            kept = f"{arguments.out} has the fit, but not all that its report shows"
+            raise DropoError(f"Interrupted at the end: {kept}.") from None
 
     show_and_save(arguments, fit, fit.to_json(), save)
     return 1 if fit.status is Status.INTERRUPTED else 0

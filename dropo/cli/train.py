@@ -164,11 +164,17 @@ def _run(arguments: argparse.Namespace, folder: RunFolder) -> int:
         progress.close()
     path = None if arguments.out is None else policy.save(arguments.out)
     found = {}
-    if distribution is not None:
-        found["under the fit"] = evaluate(
-            policy, target, distribution=distribution, rng=arguments.seed, **options
-        )
-    found["as it is"] = evaluate(policy, target, rng=arguments.seed, **(options | {"noise": 0.0}))
+    try:
+        if distribution is not None:
+            found["under the fit"] = evaluate(
+                policy, target, distribution=distribution, rng=arguments.seed, **options
+            )
+        exact = options | {"noise": 0.0}
+        found["as it is"] = evaluate(policy, target, rng=arguments.seed, **exact)
+    except KeyboardInterrupt:
+        if path is None:
+            raise
+        raise DropoError(f"Interrupted: {path} has the policy, not yet evaluated.") from None
     content = {
         "policy": path and str(path),
         "about": policy.about,

@@ -13,7 +13,7 @@ from dropo.core.records.start_mean import Start, checked_start, given_start
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.registry import find
 from dropo.core.services.validation import known, require
-from dropo.estimators.support.point_estimate import estimate
+from dropo.estimators.support.point_estimate import InterruptedEstimate, estimate
 from dropo.estimators.support.standard_errors import rounding
 from dropo.estimators.support.summary import summarize
 
@@ -80,7 +80,12 @@ class LeastSquares(Estimator):
                 " nothing. Use weights 'noise', or leave 'prior' out."
             )
         start = given_start(self.start, problem.space)
-        found = estimate(problem, run, self.weights, self.budget, self.step, start, prior=prior)
+        try:
+            found = estimate(problem, run, self.weights, self.budget, self.step, start, prior=prior)
+            status = Status.CONVERGED if found.converged else Status.OUT_OF_BUDGET
+        except InterruptedEstimate as stopped:
+            found = stopped.best
+            status = Status.INTERRUPTED
         family = within_prior(find("families", "point")(problem.space), prior)
         rows = len(problem.segments.rows[0])
         noise = np.maximum(found.noise, rounding(problem))  # a perfect fit would have no density
@@ -96,6 +101,6 @@ class LeastSquares(Estimator):
             weighted_by=found.weighted_by,
             log_likelihood=-0.5 * rows * float(np.sum(density)),
             mean_prediction=found.predicted,
-            status=Status.CONVERGED if found.converged else Status.OUT_OF_BUDGET,
+            status=status,
             message=found.message,
         )

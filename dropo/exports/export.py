@@ -157,7 +157,10 @@ def _of_diagnosis(folder: Path) -> Subject:
 
 
 def _write(target: str, subject: Subject, written: Written, place: Path) -> Exported:
-    """Write all files, or refuse where one of another's is in the way."""
+    """Write all files, or refuse where one of another's is in the way.
+
+    The record comes first: after an interruption what is there is of this export.
+    """
     main = next(iter(written.files), MODEL)
     folder = place.parent if place.suffix else place
     named = {
@@ -166,6 +169,10 @@ def _write(target: str, subject: Subject, written: Written, place: Path) -> Expo
     }
     names = [*named, MODEL] if written.model else list(named)
     _refuse_others(folder, names, target)
+    paths = tuple(folder / name for name in names)
+    found = Exported(target, paths, written.left_out, written.approximated)
+    record = found.to_json() | {"files": names, "problem": subject.name, "version": __version__}
+    write_json(folder / RECORD, record)
     if written.model:
         write_text(folder / MODEL, with_assets_beside(written.model, folder))
     for name, content in named.items():
@@ -173,10 +180,6 @@ def _write(target: str, subject: Subject, written: Written, place: Path) -> Expo
             write_bytes(folder / name, content)
         else:
             write_text(folder / name, content)
-    paths = tuple(folder / name for name in names)
-    found = Exported(target, paths, written.left_out, written.approximated)
-    record = found.to_json() | {"files": names, "problem": subject.name, "version": __version__}
-    write_json(folder / RECORD, record)
     return found
 
 

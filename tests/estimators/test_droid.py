@@ -1,5 +1,7 @@
 """DROID: the search's own covariance, around the least squared distance."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ from dropo.core.services.errors import BadArgument, Incompatible
 from dropo.estimators.droid import DROID
 from dropo.estimators.least_squares import LeastSquares
 from dropo.problems.simulated.slide import slide
+from dropo.simulators.toy import SlidingBlock
 
 
 def test_mean_is_that_of_least_squares():
@@ -44,6 +47,29 @@ def test_a_budget_that_runs_out_is_told():
         fit.message
         == "The budget of 100 evaluations ran out first: raise it, or go on from this fit."
     )
+
+
+def test_an_interruption_before_the_first_value_leaves_no_fit():
+    """Later it leaves the best so far, of finite numbers."""
+
+    class Stopping(SlidingBlock):
+        predicted = 0
+        at = 1
+
+        def predict(self, *given, **named):
+            self.predicted += 1
+            if self.predicted == self.at:
+                raise KeyboardInterrupt
+            return super().predict(*given, **named)
+
+    simulator = Stopping()
+    problem = replace(slide(), simulator=simulator)
+    with pytest.raises(KeyboardInterrupt):
+        DROID(budget=100).fit(problem)
+    simulator.at = simulator.predicted + 4
+    fit = DROID(budget=100).fit(problem)
+    assert fit.status is Status.INTERRUPTED
+    assert np.isfinite(fit.search_record.squared_distance)
 
 
 def test_refusals():

@@ -1,5 +1,7 @@
 """Least squares: what it recovers, how sure it is, and what it refuses."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -36,6 +38,38 @@ def test_a_point_estimate_has_no_spread():
     assert np.isnan(fit.scale_se).all()
     assert fit.mse == pytest.approx(fit.epsilon.mean(), rel=1e-12)
     assert fit.phi.tolist() == fit.mean.tolist()
+
+
+class Stopping(SlidingBlock):
+    """Is interrupted at a linearization, once."""
+
+    linearized = 0
+    at = 0
+
+    def linearize(self, *given, **named):
+        self.linearized += 1
+        if self.linearized == self.at:
+            raise KeyboardInterrupt
+        return super().linearize(*given, **named)
+
+
+def test_an_interruption_leaves_the_best_so_far():
+    """Nearer to the end the later it comes; before the first point there is none."""
+    problem = slide()
+    end = LeastSquares().fit(problem).mean
+    away = []
+    for at in (2, 4):
+        simulator = Stopping()
+        simulator.at = at
+        fit = LeastSquares().fit(replace(problem, simulator=simulator))
+        assert fit.status is Status.INTERRUPTED
+        assert "this is the best so far" in fit.message
+        away.append(np.abs(fit.mean - end).max())
+    assert away[0] > 2 * away[1]
+    simulator = Stopping()
+    simulator.at = 1
+    with pytest.raises(KeyboardInterrupt):
+        LeastSquares().fit(replace(problem, simulator=simulator))
 
 
 @pytest.mark.parametrize("weights", ["equal", (4.0, 0.25, 1.0)])

@@ -1,5 +1,6 @@
 """Exports from folders and from Python: what is refused, what is never overwritten."""
 
+import errno
 import json
 from dataclasses import replace
 
@@ -86,6 +87,23 @@ def test_files_of_others_stay(arm, tmp_path):
     (tmp_path / "file").write_text("mine")
     with pytest.raises(BadFile, match="expected a folder, got a file"):
         export(fit, "mjx", tmp_path / "file", problem=problem)
+
+
+def test_an_export_cut_off_is_made_again(arm, tmp_path, monkeypatch):
+    """After a full disk the same export ends as one that nothing disturbed."""
+    problem, fit = arm
+    export(fit, "mujoco", tmp_path / "whole", problem=problem)
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as disk:
+        disk.setattr("dropo.exports.export.write_bytes", full)
+        with pytest.raises(OSError, match="No space left"):
+            export(fit, "mujoco", tmp_path / "cut", problem=problem)
+    export(fit, "mujoco", tmp_path / "cut", problem=problem)
+    for path in (tmp_path / "whole").iterdir():
+        assert (tmp_path / "cut" / path.name).read_bytes() == path.read_bytes()
 
 
 def test_refusals(arm, tmp_path):

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
-from dropo.core.services.errors import BadFile, Incompatible, InvalidInput
+from dropo.core.services.errors import BadFile, DropoError, Incompatible, InvalidInput
 
 RECORD = "run.json"
 """What the run is."""
@@ -79,6 +79,28 @@ class RunFolder:
         if not path.exists():
             self._new.append(path)
         return path
+
+    @contextmanager
+    def going_on_from(self, name: str) -> Iterator[None]:
+        """Say of an interruption inside the block that the same command goes on from a file.
+
+        Parameters
+        ----------
+        name : str
+            Of the file to which the run adds what it has finished.
+
+        Raises
+        ------
+        DropoError
+            In place of `KeyboardInterrupt`, where there is such a file.
+        """
+        try:
+            yield
+        except KeyboardInterrupt:
+            if self.path is None or not (self.path / name).exists():
+                raise
+            kept = "Interrupted before there was a result: the same command goes on from here."
+            raise DropoError(kept) from None
 
     def clear(self) -> None:
         """Remove what a refused run has begun to write."""

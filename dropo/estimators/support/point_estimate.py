@@ -67,6 +67,14 @@ class PointEstimate:
     message: str
 
 
+class InterruptedEstimate(KeyboardInterrupt):
+    """An estimate was interrupted; `best` has the best point so far."""
+
+    def __init__(self, best: PointEstimate):
+        super().__init__()
+        self.best = best
+
+
 def estimate(
     problem: Problem,
     run: Run,
@@ -106,6 +114,8 @@ def estimate(
         If weights are not one finite number for each signal.
     SimulationFailed
         If a simulation on the way diverges.
+    InterruptedEstimate
+        If it is interrupted once a point was evaluated.
     """
     space = problem.space
     targets = problem.simulator.targets(problem.segments)
@@ -236,11 +246,14 @@ class _WeightedResiduals:
         self.run = run
         self.budget = budget
         self.step = step
+        self.variances = variances
         self.weight = 1 / np.sqrt(variances)
         self.width = problem.space.high - problem.space.low
         self.targets = problem.simulator.targets(problem.segments)
         self._point: Array | None = None
         self._linearized = (np.empty(0), np.empty(0))
+        self.best: Array | None = None
+        self._least = np.inf
 
     def linearize(self, unit: Array) -> tuple[Array, Array]:
         """Predictions (R, p) and Jacobian (R, p, d); the last point's are kept."""
@@ -257,12 +270,16 @@ class _WeightedResiduals:
 
     def residuals(self, unit: Array) -> Array:
         """(R p,) weighted; d more of a normal prior."""
-        of_data = ((self.linearize(unit)[0] - self.targets) * self.weight).ravel()
-        if self.prior is None:
-            return of_data
-        centre, precision = self.prior
-        value = self.problem.space.low + unit * self.width
-        return np.concatenate([of_data, np.sqrt(precision) * (value - centre)])
+        found = ((self.linearize(unit)[0] - self.targets) * self.weight).ravel()
+        if self.prior is not None:
+            centre, precision = self.prior
+            value = self.problem.space.low + unit * self.width
+            found = np.concatenate([found, np.sqrt(precision) * (value - centre)])
+        squared = float(found @ found)
+        if squared < self._least:
+            self._least = squared
+            self.best = unit.copy()
+        return found
 
     def jacobian(self, unit: Array) -> Array:
         """Of the residuals in the coordinates of the unit box, d columns."""
@@ -313,19 +330,31 @@ def _solve(
         raise SimulationFailed(
             f"Least squares met a simulation that diverged: {error} Narrow the bounds."
         ) from None
-
-    predicted, jacobian = function.linearize(result.x)
-    converged = result.status > 0
+    except KeyboardInterrupt:
+        if function.best is None:
+            raise
+        done = run.evaluations - before
+        message = f"Interrupted after {done} evaluations: this is the best so far."
+        raise InterruptedEstimate(_estimate_at(function.best, function, before, message)) from None
     message = "The estimate stopped moving."
-    if not converged:
+    if result.status <= 0:
         message = f"The budget of {budget} evaluations ran out first."
+    found = _estimate_at(result.x, function, before, message)
+    return replace(found, converged=result.status > 0)
+
+
+def _estimate_at(
+    unit: Array, function: _WeightedResiduals, before: int, message: str
+) -> PointEstimate:
+    """The estimate at a point of the unit box, of a search that has not come to its own end."""
+    predicted, jacobian = function.linearize(unit)
     return PointEstimate(
-        value=space.low + result.x * width,
+        value=function.problem.space.low + unit * function.width,
         noise=np.mean((predicted - function.targets) ** 2, axis=0),
-        weighted_by=variances,
+        weighted_by=function.variances,
         predicted=predicted,
         jacobian=jacobian,
-        evaluations=run.evaluations - before,
-        converged=converged,
+        evaluations=function.run.evaluations - before,
+        converged=False,
         message=message,
     )

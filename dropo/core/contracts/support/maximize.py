@@ -126,6 +126,8 @@ def maximize(
         If the optimizer needs gradients and the objective gives none.
     BadArgument
         If the budget is less than the optimizer's first batch.
+    KeyboardInterrupt
+        If the search is interrupted before a point had a finite value.
     """
     evaluate = _in_unit_box(objective, space, optimizer, batched=batched)
     finite_cost = _FiniteCosts()
@@ -157,6 +159,8 @@ def maximize(
                 "on from this fit."
             )
     except KeyboardInterrupt:
+        if not np.isfinite(best):
+            raise
         status = Status.INTERRUPTED
         reason = f"Interrupted after {done} evaluations: this is the best so far."
     finally:
