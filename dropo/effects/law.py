@@ -21,6 +21,7 @@ from dropo.mjmodel.dynamics.forces import joint_loads, motor_force, motors
 from dropo.mjmodel.joints import Joint, actuators, joints
 from dropo.mjmodel.kinematics import centre_motion
 from dropo.mjmodel.names import element_names
+from dropo.mjmodel.options import physics_step
 
 COMMAND = "command"
 """The variant of a law of an actuator's command."""
@@ -401,10 +402,12 @@ def hidden_states(
     model = state.model
     sizes = np.cumsum([1, model.nq, model.nv])
     time, qpos, qvel, act = np.split(past.states, sizes, axis=1)
-    rows = StepState(qpos, qvel, past.commands, 0, act, model, time[:, 0])
-    values = variables(rows)
     begins = np.flatnonzero(time[:, 0] == 0)
     lengths = np.diff(np.append(begins, len(time)))
+    rows = StepState(qpos, qvel, past.commands, 0, act, model, time[:, 0])
+    values = variables(rows)
+    ends = _held_ends(rows, physics_step(model))
+    held = variables(ends)
     memory: dict[int, Any] = {}
     found: dict[int, tuple[Array, ...]] = {}
     for k in range(int(lengths.max())):
@@ -415,4 +418,33 @@ def hidden_states(
             whole = found.setdefault(i, tuple(np.zeros(len(time)) for _ in parts))
             for out, part in zip(whole, parts, strict=True):
                 out[at[alive]] = np.broadcast_to(part, at.shape)[alive]
+        # Until the next row's command, this row's is held.
+        evaluate(program, {name: value[at] for name, value in held.items()}, magnitudes, memory)
     return found
+
+
+def _held_ends(rows: StepState, step: float) -> StepState:
+    """The states one physics step before the next rows, under the commands of these.
+
+    At a trajectory's last row, that row.
+    """
+    passed = np.append(np.diff(rows.time), 0.0)
+    ends = passed <= 0
+    part = np.where(ends, 0.0, 1 - step / np.where(ends, 1.0, passed))
+    part = np.clip(part, 0.0, 1.0)
+
+    def moved(values: Array) -> Array:
+        """Values between these rows and the next ones."""
+        after = np.append(values[1:], values[-1:], axis=0)
+        share = part.reshape(-1, *[1] * (values.ndim - 1))
+        return np.asarray(values + share * (after - values))
+
+    return StepState(
+        moved(rows.qpos),
+        moved(rows.qvel),
+        rows.ctrl,
+        0,
+        moved(rows.act),
+        rows.model,
+        moved(rows.time),
+    )

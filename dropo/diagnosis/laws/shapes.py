@@ -1,7 +1,7 @@
 """The shapes of which laws are made: terms of a formula, each times a constant."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,13 +21,16 @@ class LawTerm:
         What a law of this term is called, such as "quadratic drag".
     own : tuple of (str, float)
         Its own constants: what they are called, and a first size.
+    effects : tuple of str
+        The effects of the registry that stand for it.
     known : bool
-        Whether an effect of the registry stands for it, so that it is no law by itself.
+        Whether one of these is looked for too, so that it is no law by itself.
     """
 
     text: str
     law: str
     own: tuple[tuple[str, float], ...] = ()
+    effects: tuple[str, ...] = ()
     known: bool = False
 
     def written(self, names: Sequence[str]) -> str:
@@ -67,6 +70,8 @@ class Ranges:
         The longest trajectory [s].
     hinge : bool
         Whether it turns.
+    effects : collection of str
+        The effects that are looked for too.
     """
 
     q: Array
@@ -75,6 +80,7 @@ class Ranges:
     others: tuple[str, ...]
     seconds: float
     hinge: bool
+    effects: Collection[str] = ()
 
 
 @dataclass(frozen=True)
@@ -106,6 +112,8 @@ class ShapeSettings:
 
 
 SETTINGS = ShapeSettings()
+CONSTANT = ("actuator_bias", "external_force", "gravity_tilt")
+"""The effects that a constant force at a joint may be."""
 
 
 def shapes_at(ranges: Ranges, settings: ShapeSettings = SETTINGS) -> list[LawTerm]:
@@ -131,35 +139,42 @@ def shapes_at(ranges: Ranges, settings: ShapeSettings = SETTINGS) -> list[LawTer
         *_of_others(ranges),
         *_remembering(ranges, settings),
     ]
-    return list({shape.numbers: shape for shape in found}.values())
+    known = [
+        replace(shape, known=not set(ranges.effects).isdisjoint(shape.effects)) for shape in found
+    ]
+    return list({shape.numbers: shape for shape in known}.values())
 
 
 def _of_speed(ranges: Ranges, settings: ShapeSettings) -> Iterator[LawTerm]:
     """Drags and frictions."""
-    yield LawTerm("v", "viscous friction", known=True)
-    yield LawTerm("sign(v)", "dry friction", known=True)
+    yield LawTerm("v", "viscous friction", effects=("joint_damping",))
+    yield LawTerm("sign(v)", "dry friction", effects=("joint_friction",))
     yield LawTerm("abs(v) * v", "quadratic drag")
     yield LawTerm("v**3", "cubic drag")
     yield LawTerm("sign(v) * sqrt(abs(v))", "square-root friction")
+    yield LawTerm("sign(v) * abs(v)**1.5", "drag with the power 1.5 of speed")
     yield LawTerm("abs(v)", "viscous friction that differs by direction")
     yield LawTerm("v**2", "quadratic drag that differs by direction")
     for speed in _scales(ranges.v, settings.speeds):
         yield LawTerm("tanh(v / {0})", "friction that saturates with speed", (("w", speed),))
-        yield LawTerm("exp(-(v / {0})**2) * sign(v)", "Stribeck", (("w", speed),), known=True)
+        text = "exp(-(v / {0})**2) * sign(v)"
+        yield LawTerm(text, "Stribeck", (("w", speed),), ("joint_stribeck",))
 
 
 def _of_position(ranges: Ranges, settings: ShapeSettings) -> Iterator[LawTerm]:
     """Springs, stops, detents, ripples."""
-    yield LawTerm("1", "constant force", known=True)
-    yield LawTerm("q", "spring", known=True)
+    yield LawTerm("1", "constant force", effects=CONSTANT)
+    yield LawTerm("q", "spring", effects=("joint_stiffness",))
     yield LawTerm("q**2", "spring with a quadratic part")
     yield LawTerm("q**3", "cubic spring")
     yield LawTerm("abs(q) * q", "spring that stiffens")
     yield LawTerm("abs(q)", "spring that differs by side")
     yield LawTerm("q * v", "viscous friction that grows along the way")
     yield LawTerm("q**2 * v", "viscous friction that grows away from the middle")
+    yield LawTerm("abs(q) * v", "viscous friction that grows with the distance")
     yield LawTerm("q * sign(v)", "dry friction that grows along the way")
     yield LawTerm("q**2 * sign(v)", "dry friction that grows away from the middle")
+    yield LawTerm("abs(q) * sign(v)", "dry friction that grows with the distance")
     span = float(ranges.q[-1] - ranges.q[0])
     for place in _quantiles(ranges.q, settings.places):
         own = ("a", place)
@@ -175,9 +190,15 @@ def _of_position(ranges: Ranges, settings: ShapeSettings) -> Iterator[LawTerm]:
             yield LawTerm("dead(q, {0})", "spring with play", (("w", width),))
     if ranges.hinge:
         for order in range(1, settings.orders + 1):
-            known = order in COGS
-            yield LawTerm(f"sin({order} * q)", "torque ripple", known=known)
-            yield LawTerm(f"cos({order} * q)", "torque ripple", known=known)
+            effects = ("joint_cogging",) if order in COGS else ()
+            yield LawTerm(f"sin({order} * q)", "torque ripple", effects=effects)
+            yield LawTerm(f"cos({order} * q)", "torque ripple", effects=effects)
+        return
+    # Along a slide the length of a ripple may be any.
+    for count in range(1, settings.orders + 1):
+        own = ("k", float(f"{2 * np.pi * count / max(2 * span, 1e-12):.3g}"))
+        yield LawTerm("sin({0} * q)", "force ripple", (own,))
+        yield LawTerm("cos({0} * q)", "force ripple", (own,))
 
 
 def _of_load(ranges: Ranges) -> Iterator[LawTerm]:
@@ -189,10 +210,13 @@ def _of_load(ranges: Ranges) -> Iterator[LawTerm]:
     yield LawTerm("abs(contact) * sign(v)", "friction that grows with the contact force")
     if not ranges.motor:
         return
-    yield LawTerm("motor", "gain", known=True)
-    yield LawTerm("abs(motor) * sign(v)", "friction that grows with the drive's force", known=True)
+    yield LawTerm("motor", "gain", effects=("actuator_gain",))
+    loaded = "friction that grows with the drive's force"
+    yield LawTerm("abs(motor) * sign(v)", loaded, effects=("joint_load_friction",))
     yield LawTerm("abs(motor) * v", "viscous friction that grows with the drive's force")
-    yield LawTerm("motor * abs(v)", "force that falls with speed", known=True)
+    falls = "force that falls with speed"
+    yield LawTerm("max(motor * v, 0) * sign(v)", falls, effects=("actuator_torque_speed",))
+    yield LawTerm("motor * abs(v)", f"{falls}, braking too", effects=("actuator_torque_speed",))
     yield LawTerm("motor * v**2", "force that falls with the square of speed")
     yield LawTerm("abs(motor) * motor", "gain that falls with the force")
     yield LawTerm("motor**3", "gain that falls with the force")
