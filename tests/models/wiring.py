@@ -125,3 +125,40 @@ def torques_logged(name, rng, *, seconds=12.0, runs=2):
         parts.append((read[:-1], np.array(torques), read[1:], ends))
     whole = Trajectories(*(np.concatenate(column) for column in zip(*parts, strict=True)))
     return problem_of(name, spec, whole)
+
+
+def light_wrist(rng):
+    """A wrist about an upright axis whose motor works against friction alone, and a model without
+    friction.
+    """
+    spec = mujoco.MjSpec.from_string(
+        """
+        <mujoco>
+          <option timestep="0.001" integrator="implicitfast"/>
+          <worldbody>
+            <body name="wrist">
+              <joint name="wrist" axis="0 0 1"/>
+              <geom type="cylinder" size="0.02 0.03" mass="0.05" contype="0" conaffinity="0"/>
+            </body>
+          </worldbody>
+          <actuator><motor name="wrist" joint="wrist"/></actuator>
+        </mujoco>
+        """
+    )
+    model = spec.compile()
+    model.dof_frictionloss[0] = 1.0
+    model.dof_damping[0] = 0.8
+    data = mujoco.MjData(model)
+    count = 2400
+    turns = np.array([0.35, 0.8, 1.3])
+    at = CONTROL * np.arange(count)[:, None]
+    path = 0.3 * np.sin(2 * np.pi * turns * at + rng.uniform(0, 6, 3)).sum(axis=1)
+    rows, torques = [data.qpos.copy()], []
+    for wanted in path - path[0]:
+        torques.append(30.0 * (wanted - data.qpos))
+        data.ctrl[:] = torques[-1]
+        mujoco.mj_step(model, data, round(CONTROL / model.opt.timestep))
+        rows.append(data.qpos + 2e-5 * rng.normal(size=1))
+    read = np.array(rows)
+    log = Trajectories(read[:-1], np.array(torques), read[1:], np.arange(count) == count - 1)
+    return problem_of("light wrist", spec, log)

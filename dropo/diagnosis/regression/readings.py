@@ -324,16 +324,60 @@ class Readings:
             The squared force that is left of the rows held out, as a fraction, as in `JointFit`.
         """
         motion = self._motion(self.plain)
-        drive = self._drive(self.plain, motion, dof, 0.0) + motion.bias[:, dof]
-        needed = (motion.moving + motion.holding)[:, dof]
-        joint = next(one for one in joints(self.model) if one.qvel == dof)
-        known = numbers_of(self.model, joint)
-        needed = needed + known.armature * motion.acceleration[:, dof]
-        needed += known.damping * motion.velocity[:, dof]
-        needed += known.friction * motion.direction[:, dof]
+        drive, needed = self._stated(motion, dof)
         rows = self.held & motion.moves[:, dof]
         scale = max(float(np.mean(needed[rows] ** 2)), float(np.mean(drive[rows] ** 2)), 1e-300)
         return float(np.mean((needed - drive)[rows] ** 2)) / scale
+
+    def left_with_friction(self, dof: int, rotor: float) -> float:
+        """Return what is left where the drive is as stated, and the model lacks friction and rotor.
+
+        Parameters
+        ----------
+        dof : int
+            The degree of freedom.
+        rotor : float
+            Inertia of the rotor at most, in that of the joint.
+
+        Returns
+        -------
+        float
+            As of `left_as_stated`, with dry and viscous friction, a rotor and an offset fitted.
+        """
+        from scipy.optimize import lsq_linear  # slow to import
+
+        motion = self._motion(self.plain)
+        drive, needed = self._stated(motion, dof)
+        columns = [
+            motion.acceleration[:, dof],
+            motion.direction[:, dof],
+            motion.velocity[:, dof],
+            np.ones(len(drive)),
+        ]
+        table = np.stack(columns, axis=1)
+        inertia = numbers_of(self.model, self._joint(dof)).inertia
+        low = [0.0, 0.0, 0.0, -np.inf]
+        high = [rotor * inertia, np.inf, np.inf, np.inf]
+        fitted = ~self.held & motion.moves[:, dof]
+        sizes = lsq_linear(table[fitted], (drive - needed)[fitted], (low, high)).x
+        rows = self.held & motion.moves[:, dof]
+        explained = (needed + table @ sizes)[rows]
+        scale = max(float(np.mean(needed[rows] ** 2)), float(np.mean(drive[rows] ** 2)), 1e-300)
+        return float(np.mean((explained - drive[rows]) ** 2)) / scale
+
+    def _joint(self, dof: int) -> Joint:
+        """The joint of a degree of freedom."""
+        return next(one for one in joints(self.model) if one.qvel == dof)
+
+    def _stated(self, motion: _SmoothedMotion, dof: int) -> tuple[Array, Array]:
+        """(R,) the force of a joint's drive, and what the motion needs, by the model as it came."""
+        drive = self._drive(self.plain, motion, dof, 0.0) + motion.bias[:, dof]
+        known = numbers_of(self.model, self._joint(dof))
+        needed = (motion.moving + motion.holding)[:, dof]
+        needed = needed + known.armature * motion.acceleration[:, dof]
+        needed += known.damping * motion.velocity[:, dof]
+        needed += known.friction * motion.direction[:, dof]
+        return drive, needed
 
     def follows(self, reading: Reading, dof: int) -> float:
         """Return how much farther a servo's command goes than its joint, by their spreads.

@@ -410,7 +410,9 @@ class _WiringSearch:
         return factor
 
     def _of_motors(self, changes: Sequence[Change]) -> list[Change]:
-        """The units of motors' commands: their force is off by more than a gain would be."""
+        """The units of motors' commands: their force is off by more than a gain would be, and not
+        used up by friction and a rotor that the model lacks.
+        """
         reading = self._reading(changes)
         limit = self.settings.motors
         found = []
@@ -418,7 +420,9 @@ class _WiringSearch:
             known = fit.left < self.settings.explained**2 and fit.drive > 0
             if self.readings.is_servo(dof) or not known or 1 / limit < fit.drive < limit:
                 continue
-            if self.readings.left_as_stated(dof) > self.settings.unexplained**2:
+            left = self.readings.left_as_stated(dof)
+            with_friction = self.readings.left_with_friction(dof, limit)
+            if left > self.settings.unexplained**2 and with_friction > self.settings.explained**2:
                 found.append(Change("unit_factor", "command", (dof,), fit.drive))
         return found
 

@@ -25,6 +25,7 @@ from tests.models.wiring import (
     DEGREES,
     MACHINES,
     exchanged,
+    light_wrist,
     log_of,
     read_otherwise,
     scaled,
@@ -129,6 +130,11 @@ def test_the_unit_of_a_motor_is_named(logs):
     assert (fault.kind, fault.target) == ("unit_factor", "joint1")
     assert fault.factor == pytest.approx(1e-3, rel=0.5)  # its gain was off before
     assert found(read_otherwise(log, commands=scaled(1, 20.0))) == []
+
+
+def test_friction_that_takes_all_of_a_motor_is_no_unit():
+    """A light wrist needs a thousandth of what its motor gives, and friction has the rest."""
+    assert found(light_wrist(np.random.default_rng(SEED))) == []
 
 
 @pytest.mark.parametrize("name", ["arm, 3 joints", "arm, 6 joints"])
