@@ -208,7 +208,8 @@ def _diagnosis(
 
         return QuickDiagnose().run(problem)
     from dropo.core.services.files.progress_file import PROGRESS
-    from dropo.diagnosis.diagnose import Diagnose, DiagnosisSettings
+    from dropo.diagnosis.diagnose import Diagnose
+    from dropo.diagnosis.settings import DiagnosisSettings
 
     progress = Progress(silent=arguments.quiet, path=folder.file(PROGRESS))
     try:

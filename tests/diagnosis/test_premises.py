@@ -7,11 +7,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from dropo.diagnosis import diagnose
-from dropo.diagnosis.diagnose import Diagnose, DiagnosisSettings
+from dropo.diagnosis import solving
+from dropo.diagnosis.diagnose import Diagnose
 from dropo.diagnosis.findings.accuracy.every_horizon import EveryHorizonSettings
 from dropo.diagnosis.search.arithmetic import ArithmeticAlternatives
 from dropo.diagnosis.search.whitening import WhitenessSettings
+from dropo.diagnosis.settings import DiagnosisSettings
+from dropo.diagnosis.setup import SearchedEffects, SearchSetup
 from dropo.problems.file.estimated_velocities import with_velocities
 from dropo.studies.first_models.machines import (
     STEP,
@@ -31,20 +33,20 @@ EFFECTS = ("actuator_delay",)
 
 def setup_of_nothing():
     """What a search works on, without anything."""
-    return diagnose._Setup(None, None, None, SimpleNamespace(floor=None), None, None, None, 0, ())
+    return SearchSetup(None, None, None, SimpleNamespace(floor=None), None, None, None, 0, ())
 
 
 def test_half_a_search_under_other_noise_does_not_count(monkeypatch):
     """What was found before is the answer, and said to be interrupted."""
     last = SimpleNamespace(train=None)
-    before = diagnose._Searched(None, last, {})
-    half = diagnose._Searched(None, SimpleNamespace(train=None), {}, interrupted=True)
+    before = SearchedEffects(None, last, {})
+    half = SearchedEffects(None, SimpleNamespace(train=None), {}, interrupted=True)
     answers = [before, half]
-    monkeypatch.setattr(diagnose, "_search", lambda setup: (setup, answers.pop(0)))
-    monkeypatch.setattr(diagnose, "other_noise", lambda *given: "coloured")
-    monkeypatch.setattr(diagnose, "_anew", lambda setup, under: setup.selection)
+    monkeypatch.setattr(solving, "search_effects", lambda setup: (setup, answers.pop(0)))
+    monkeypatch.setattr(solving, "other_noise", lambda *given: "coloured")
+    monkeypatch.setattr(solving, "_anew", lambda setup, under: setup.selection)
     setup = setup_of_nothing()
-    found = diagnose._solved(setup, WhitenessSettings(), lambda *_: None)
+    found = solving.solved(setup, WhitenessSettings(), lambda *_: None)
     assert found[0] is setup
     assert found[1].last is last
     assert found[1].interrupted
@@ -55,11 +57,11 @@ def test_half_a_search_under_other_noise_does_not_count(monkeypatch):
 def test_disturbances_come_first(monkeypatch, left):
     """Noise is tested on what is left without them. Control: at once where there are none."""
     asked = []
-    found = diagnose._Searched(None, SimpleNamespace(train=None), {})
-    monkeypatch.setattr(diagnose, "_search", lambda setup: (setup, found))
-    monkeypatch.setattr(diagnose, "other_noise", lambda *given: asked.append(given))
-    solved = diagnose._solved(setup_of_nothing(), WhitenessSettings(), lambda *given: left)
-    assert solved[1:] == (found, left)
+    found = SearchedEffects(None, SimpleNamespace(train=None), {})
+    monkeypatch.setattr(solving, "search_effects", lambda setup: (setup, found))
+    monkeypatch.setattr(solving, "other_noise", lambda *given: asked.append(given))
+    end = solving.solved(setup_of_nothing(), WhitenessSettings(), lambda *given: left)
+    assert end[1:] == (found, left)
     assert bool(asked) == (left is None)
 
 

@@ -10,7 +10,6 @@ from dropo import Diagnose
 from dropo.core.contracts.effect import EffectInstance, Quantity
 from dropo.core.contracts.estimator import silent
 from dropo.core.services.files.evaluation_log import EvaluationLog
-from dropo.diagnosis.diagnose import _search, _Task
 from dropo.diagnosis.findings.causes import leaders
 from dropo.diagnosis.findings.stability import stability
 from dropo.diagnosis.parts import Leader, Stability
@@ -18,6 +17,8 @@ from dropo.diagnosis.search import arithmetic
 from dropo.diagnosis.search.arithmetic import ArithmeticAlternatives
 from dropo.diagnosis.search.confirmation import SETTINGS
 from dropo.diagnosis.search.windows import split
+from dropo.diagnosis.setup import DiagnosisTask
+from dropo.diagnosis.solving import search_effects
 from tests.models.hidden_in_arm import problem
 
 SEARCH = Diagnose(
@@ -30,9 +31,9 @@ SIZE = Quantity("size", "N m", 0.0, 1.0, (0.01,))
 def searched():
     """The search on an arm with more damping at the elbow: setup, the effect and its review."""
     damped = problem([("joint_damping:elbow", [0.05])])
-    task = _Task(damped, damped, np.random.default_rng(0), EvaluationLog())
+    task = DiagnosisTask(damped, damped, np.random.default_rng(0), EvaluationLog())
     setup = SEARCH._set_up(task, None, silent)
-    _, found = _search(setup)
+    _, found = search_effects(setup)
     (instance,) = found.last.accepted
     return setup, instance, found.reviews[instance.label]
 

@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import pytest
 
-from dropo.diagnosis.diagnose import Diagnose, DiagnosisSettings
+from dropo.diagnosis.diagnose import Diagnose
 from dropo.diagnosis.search.library import instances_for, partner_of
+from dropo.diagnosis.settings import DiagnosisSettings
 from tests.models.hidden_in_arm import problem
 
 TRUE = {"actuator_delay": 0.013, "actuator_lag": 0.02}

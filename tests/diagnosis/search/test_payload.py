@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dropo.diagnosis.diagnose import Diagnose, DiagnosisSettings
+from dropo.diagnosis.diagnose import Diagnose
 from dropo.diagnosis.search.library import instances_for
+from dropo.diagnosis.settings import DiagnosisSettings
 from tests.models.hidden_in_arm import problem
 
 RIVALS = (

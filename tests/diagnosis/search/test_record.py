@@ -10,12 +10,12 @@ from dropo import Diagnose, Diagnosis
 from dropo.core.services.errors import InvalidInput
 from dropo.core.services.files.evaluation_log import EvaluationLog
 from dropo.core.services.files.journal import Journal, read_lines
-from dropo.diagnosis.diagnose import DiagnosisSettings
 from dropo.diagnosis.far_off.output_error import OutputError
 from dropo.diagnosis.far_off.search import FarOffSearch
 from dropo.diagnosis.search.confirmation import SelectionSettings
 from dropo.diagnosis.search.linearization import Library
 from dropo.diagnosis.search.screening import ScreeningSettings
+from dropo.diagnosis.settings import DiagnosisSettings
 from tests.models.far_off import SETTINGS as FAR_OFF
 from tests.models.far_off import torque_arm
 from tests.models.hidden_in_arm import UPPER, problem

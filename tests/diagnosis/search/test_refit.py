@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from dropo import Diagnose, load
-from dropo.diagnosis.diagnose import DiagnosisSettings
 from dropo.diagnosis.findings.causes import standard_errors
 from dropo.diagnosis.search.linearization import Library, estimate_noise, linearize
 from dropo.diagnosis.search.refit import (
@@ -20,6 +19,7 @@ from dropo.diagnosis.search.refit import (
 )
 from dropo.diagnosis.search.whitening import WhitenessSettings, white
 from dropo.diagnosis.search.windows import split
+from dropo.diagnosis.settings import DiagnosisSettings
 from tests.models import hidden_in_arm as arms
 
 TRUE = {"contact_stiffness.margin": -0.001, "body_mass:foot": -0.2, "body_inertia:foot": -0.1}

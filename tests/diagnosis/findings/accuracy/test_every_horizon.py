@@ -10,7 +10,6 @@ import dropo.diagnosis.diagnose as module
 from dropo import Diagnose
 from dropo.core.records.parameters import Parameter, ParameterSpace
 from dropo.core.records.trajectories import Signal
-from dropo.diagnosis.diagnose import DiagnosisSettings
 from dropo.diagnosis.findings.accuracy import horizons
 from dropo.diagnosis.findings.accuracy.every_horizon import (
     OF_MOTION,
@@ -22,6 +21,7 @@ from dropo.diagnosis.findings.accuracy.every_horizon import (
 )
 from dropo.diagnosis.findings.accuracy.horizons import AfterHorizon, apart, with_numbers
 from dropo.diagnosis.parts import Leader
+from dropo.diagnosis.settings import DiagnosisSettings
 from dropo.report.pages.diagnosis_page import _remaining
 from tests.models.hidden_in_arm import problem
 

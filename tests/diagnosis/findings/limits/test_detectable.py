@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dropo.diagnosis.diagnose import Diagnose, DiagnosisSettings
+from dropo.diagnosis.diagnose import Diagnose
+from dropo.diagnosis.settings import DiagnosisSettings
 from dropo.report.build import write_report
 from tests.models.hidden_in_arm import problem
 

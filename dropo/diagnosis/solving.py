@@ -1,0 +1,358 @@
+"""The search for effects, in all its turns: other noise, other steps, other sets."""
+
+from collections.abc import Callable, Collection
+from dataclasses import replace
+
+import numpy as np
+
+from dropo.core.contracts.effect import EffectInstance
+from dropo.core.services.tables import number, steps_text
+from dropo.data.outliers.without_disturbances import WithoutDisturbances
+from dropo.diagnosis.findings.accuracy.every_horizon import Beyond
+from dropo.diagnosis.findings.premises.numerics import refused_delay, short_delay
+from dropo.diagnosis.parts import Leader
+from dropo.diagnosis.search.arithmetic import Arithmetic, ArithmeticAlternatives
+from dropo.diagnosis.search.confirmation import gain_of
+from dropo.diagnosis.search.library import robot_of
+from dropo.diagnosis.search.linearization import Library, shift_linearization
+from dropo.diagnosis.search.refit import other_noise
+from dropo.diagnosis.search.review import Review, merge, review, reviews_so_far
+from dropo.diagnosis.search.selection import STOPPING, Selection
+from dropo.diagnosis.search.sets import SetSearch, SetSettings
+from dropo.diagnosis.search.trials import Batch, State
+from dropo.diagnosis.search.whitening import WhitenessSettings, white
+from dropo.diagnosis.setup import SearchedEffects, SearchSetup
+from dropo.mjmodel.options import physics_step
+
+
+def with_noise_left(
+    setup: SearchSetup, before: State | None, settings: WhitenessSettings
+) -> SearchSetup:
+    """Return a setup with noise that is coloured, where the model before says so of its windows.
+
+    Parameters
+    ----------
+    setup : SearchSetup
+        What a search works on.
+    before : State or None
+        What a search of more data ended with.
+    settings : WhitenessSettings
+        When noise is not taken to be white.
+
+    Returns
+    -------
+    SearchSetup
+    """
+    if before is None or setup.explained is not None:
+        return setup
+    # Impulses, which come last, may be others; they are 0.
+    size = min(len(before.theta), len(setup.library.simulator.space))
+    theta = setup.padded(before.theta[:size])
+    plain = white(before.train.whiten.sigma)
+    state = setup.selection.as_it_is(
+        setup.train, setup.test, theta, plain, before.free, before.accepted
+    )
+    noise = other_noise(setup.library, state.train, setup.selection.floor, settings)
+    if noise is None:
+        return setup
+    return replace(setup, selection=_anew(setup, "noise that is not white"), noise=noise)
+
+
+def solved(
+    setup: SearchSetup,
+    settings: WhitenessSettings,
+    disturbed: Callable[[SearchSetup, SearchedEffects], WithoutDisturbances | None],
+) -> tuple[SearchSetup, SearchedEffects, WithoutDisturbances | None]:
+    """Look for effects, and anew with noise that is coloured where errors follow each other.
+
+    They may have been taken for causes, unless there are disturbances to be left out first.
+
+    Parameters
+    ----------
+    setup : SearchSetup
+        What the search works on.
+    settings : WhitenessSettings
+        When noise is not taken to be white.
+    disturbed : callable
+        Gives what is left where the end of a search shows disturbances, else None.
+
+    Returns
+    -------
+    setup : SearchSetup
+        That of the search which counts.
+    searched : SearchedEffects
+        What it ends with.
+    left : WithoutDisturbances or None
+        What is left without disturbances.
+    """
+    setup, found = search_effects(setup)
+    if found.interrupted:
+        return setup, found, None
+    try:
+        left = disturbed(setup, found)
+        if left is not None or setup.noise is not None:
+            return setup, found, left
+        noise = other_noise(setup.library, found.last.train, setup.selection.floor, settings)
+        if noise is None:
+            return setup, found, None
+        selection = _anew(setup, "noise that is not white")
+        again, anew = search_effects(replace(setup, selection=selection, noise=noise))
+        if anew.interrupted:
+            # What was found before is whole; half a search under other premises is not.
+            return setup, replace(found, interrupted=True), None
+        return again, anew, disturbed(again, anew)
+    except KeyboardInterrupt:
+        setup.selection.progress(0.9, STOPPING)
+        return setup, replace(found, interrupted=True), None
+
+
+def _anew(setup: SearchSetup, under: str) -> Selection:
+    """A search that has not begun, under other premises."""
+    progress = setup.selection.progress
+
+    def further(share: float, text: str) -> None:
+        """Progress does not run backward."""
+        progress(0.9, f"{text}, {under}")
+
+    selection = replace(setup.selection, progress=further, batches=[], origins={})
+    selection.screening = setup.selection.screening
+    return selection
+
+
+def _stepped(setup: SearchSetup, arithmetic: Arithmetic, gain: float) -> SearchSetup:
+    """A setup whose simulations are stepped otherwise, which gained so much."""
+    library = setup.library
+    simulator = robot_of(setup.problem)
+    exact = arithmetic.of(library.simulator)  # type: ignore[arg-type]
+    exact.steps = library.simulator.steps
+    library = Library(exact, library.instances, library.declared, library.differences)
+    selection = replace(_anew(setup, "exact physics steps"), library=library)
+    problem = replace(setup.problem, simulator=arithmetic.of(simulator))
+    return replace(setup, problem=problem, library=library, selection=selection, won=gain)
+
+
+def search_effects(setup: SearchSetup) -> tuple[SearchSetup, SearchedEffects]:
+    """Look for effects; where that is interrupted, return what was accepted so far.
+
+    Where more exact physics steps are the better explanation, all is done anew with them.
+
+    Parameters
+    ----------
+    setup : SearchSetup
+        What the search works on.
+
+    Returns
+    -------
+    tuple of SearchSetup and SearchedEffects
+        With the steps that were the better ones.
+    """
+    explained = setup.explained
+    if explained is not None:
+        return setup, SearchedEffects(*setup.evaluated(), explained.interrupted)
+    first = setup.first()
+    selection = setup.selection
+    settings = selection.settings
+    alternatives = ArithmeticAlternatives(
+        setup.library, selection.floor, settings, selection.log, first, setup.won
+    )
+    try:
+        last, reviews = explain(setup, first, first, alternatives)
+        if alternatives.winner is None:
+            return setup, SearchedEffects(first, last, reviews)
+        return search_effects(_stepped(setup, alternatives.winner, alternatives.gain))
+    except KeyboardInterrupt:
+        selection.progress(0.9, STOPPING)
+        last = selection.latest or first
+        reviews = reviews_so_far(selection, last)
+        return setup, SearchedEffects(first, last, reviews, interrupted=True)
+
+
+def explain(
+    setup: SearchSetup,
+    first: State,
+    begun: State,
+    alternatives: ArithmeticAlternatives | None = None,
+) -> tuple[State, dict[str, Review]]:
+    """Accept effects, and exchange them, until nothing changes.
+
+    Parameters
+    ----------
+    setup : SearchSetup
+        What the search works on.
+    first, begun : State
+        The model as it is, and the one to begin with.
+    alternatives : ArithmeticAlternatives, optional
+        The search ends early where one of them is better.
+
+    Returns
+    -------
+    last : State
+        The model that the search ends with.
+    reviews : dict of str to Review
+        By the labels of its effects, what it is without each.
+    """
+    selection = setup.selection
+    instances = setup.instances
+    last, reviews = review(selection, begun)
+    while True:
+        found = selection.run(first, last, instances, alternatives)
+        if alternatives is not None and alternatives.winner is not None:
+            return last, reviews
+        if found is last:
+            break
+        # After an exchange, others may be confirmed.
+        last, reviews = review(selection, found)
+        selection.latest = last
+        if last is found:
+            break
+    merged = merge(selection, last, instances)
+    if merged is not last:
+        _, reviews = review(selection, merged)
+    return merged, reviews
+
+
+def without_short_delays(
+    setup: SearchSetup, searched: SearchedEffects
+) -> tuple[SearchSetup, SearchedEffects] | None:
+    """Go on without delays shorter than a physics step.
+
+    They are what else is wrong looks like: a model says little of what happens within its steps.
+
+    Parameters
+    ----------
+    setup : SearchSetup
+        What the search works on.
+    searched : SearchedEffects
+        What it ended with.
+
+    Returns
+    -------
+    tuple of SearchSetup and SearchedEffects or None
+        None where there are none.
+    """
+    library, last = setup.library, searched.last
+    step = physics_step(robot_of(setup.problem).model)
+    refused: dict[str, str] = {}
+    indices: list[int] = []
+    for instance in last.accepted:
+        own = library.places[instance.label]
+        size = short_delay(instance, last.theta[own], step)
+        if size is not None:
+            without = searched.reviews[instance.label].without
+            refused[instance.label] = refused_delay(instance, size, step, without.test, last.test)
+            indices += own.tolist()
+    if not refused:
+        return None
+    selection = _without(setup.selection, refused)
+    setup = replace(setup, selection=selection, refused={**setup.refused, **refused})
+    theta = last.theta.copy()
+    theta[indices] = 0.0
+    train = shift_linearization(library, last.train, theta, last.train.whiten.noise)
+    kept = tuple(one for one in last.accepted if one.label not in refused)
+    begun = State(train, last.test, np.setdiff1d(last.free, indices), kept)
+    # More exact steps were tried beside them, and were not better.
+    further, reviews = explain(setup, searched.first, selection.polish(begun))
+    return setup, replace(searched, last=further, reviews=reviews)
+
+
+def with_another_set(
+    setup: SearchSetup, searched: SearchedEffects, settings: SetSettings
+) -> tuple[SearchSetup, SearchedEffects] | None:
+    """Go on with a set of effects that is better.
+
+    Parameters
+    ----------
+    setup : SearchSetup
+        What the search works on.
+    searched : SearchedEffects
+        What it ended with.
+    settings : SetSettings
+        Which sets are compared.
+
+    Returns
+    -------
+    tuple of SearchSetup and SearchedEffects or None
+        None where none is.
+    """
+    sets = SetSearch(setup.selection, searched.first, setup.instances, settings)
+    better = sets.run(searched.last)
+    if better is searched.last:
+        return None
+    last, reviews = explain(setup, searched.first, better)
+    return replace(setup, compared=True), replace(searched, last=last, reviews=reviews)
+
+
+def without_worse(
+    setup: SearchSetup, searched: SearchedEffects, label: str, leader: Leader
+) -> tuple[SearchSetup, SearchedEffects]:
+    """Go on without an effect with which errors after some horizon are larger.
+
+    Parameters
+    ----------
+    setup : SearchSetup
+        What the search works on.
+    searched : SearchedEffects
+        What it ended with.
+    label : str
+        Of the effect.
+    leader : Leader
+        What is said of it.
+
+    Returns
+    -------
+    tuple of SearchSetup and SearchedEffects
+    """
+    worse = {**setup.worse, label: leader}
+    setup = replace(setup, selection=_without(setup.selection, [label]), worse=worse)
+    without = searched.reviews[label].without
+    further, reviews = explain(setup, searched.first, without)
+    return setup, replace(searched, last=further, reviews=reviews)
+
+
+def worse_leader(searched: SearchedEffects, instance: EffectInstance, beyond: Beyond) -> Leader:
+    """Return what is said of an effect with which errors after some horizon are larger.
+
+    Parameters
+    ----------
+    searched : SearchedEffects
+        What a search ended with.
+    instance : EffectInstance
+        One of its effects.
+    beyond : Beyond
+        By how much errors are larger, and after which horizon.
+
+    Returns
+    -------
+    Leader
+    """
+    gain, z = gain_of(searched.reviews[instance.label].without.test, searched.last.test)
+    after = f"errors after {steps_text(beyond.steps)} are {number(beyond.ratio, 3)} times"
+    return Leader(
+        effect=instance.effect,
+        target=instance.target,
+        variant=instance.variant,
+        gain=gain,
+        gain_se=gain / z if z > 0 else np.nan,
+        times=np.nan,
+        why=f"{after} those without it ({beyond.unit})",
+        steps=beyond.steps,
+    )
+
+
+def _without(selection: Selection, labels: Collection[str]) -> Selection:
+    """A search whose batches lack the trials of some effects."""
+    left = replace(
+        selection,
+        origins={
+            label: _without_trials(batch, labels) for label, batch in selection.origins.items()
+        },
+        batches=[_without_trials(batch, labels) for batch in selection.batches],
+    )
+    left.screening = selection.screening
+    return left
+
+
+def _without_trials(batch: Batch, refused: Collection[str]) -> Batch:
+    """A batch without the trials of some effects, by their labels."""
+    kept = [trial for trial in batch.trials if trial.candidate.instance.label not in refused]
+    return replace(batch, trials=kept)
