@@ -20,7 +20,7 @@ from dropo.diagnosis.search.review import Review, merge, review, reviews_so_far
 from dropo.diagnosis.search.selection import STOPPING, Selection
 from dropo.diagnosis.search.sets import SetSearch, SetSettings
 from dropo.diagnosis.search.trials import Batch, State
-from dropo.diagnosis.search.whitening import WhitenessSettings, white
+from dropo.diagnosis.search.whitening import WhitenessSettings, WindowNoise, white
 from dropo.diagnosis.setup import SearchedEffects, SearchSetup
 from dropo.mjmodel.options import physics_step
 
@@ -55,7 +55,7 @@ def with_noise_left(
     noise = other_noise(setup.library, state.train, setup.selection.floor, settings)
     if noise is None:
         return setup
-    return replace(setup, selection=_anew(setup, "noise that is not white"), noise=noise)
+    return _coloured(setup, noise)
 
 
 def solved(
@@ -95,8 +95,7 @@ def solved(
         noise = other_noise(setup.library, found.last.train, setup.selection.floor, settings)
         if noise is None:
             return setup, found, None
-        selection = _anew(setup, "noise that is not white")
-        again, anew = search_effects(replace(setup, selection=selection, noise=noise))
+        again, anew = search_effects(_coloured(setup, noise))
         if anew.interrupted:
             # What was found before is whole; half a search under other premises is not.
             return setup, replace(found, interrupted=True), None
@@ -117,6 +116,11 @@ def _anew(setup: SearchSetup, under: str) -> Selection:
     selection = replace(setup.selection, progress=further, batches=[], origins={})
     selection.screening = setup.selection.screening
     return selection
+
+
+def _coloured(setup: SearchSetup, noise: WindowNoise) -> SearchSetup:
+    """A setup with noise that is not white, whose search has not begun."""
+    return replace(setup, selection=_anew(setup, "noise that is not white"), noise=noise)
 
 
 def _stepped(setup: SearchSetup, arithmetic: Arithmetic, gain: float) -> SearchSetup:

@@ -490,10 +490,12 @@ def _of_the_machine(
         return replace(moved, whiten=whiten)
 
     without = (own, exact(own))
-    return any(
-        all(is_confirmed(before, after, needed, selection.settings) for before in without)
-        for after in (polished.test, exact(polished.test))
-    )
+
+    def holds(after: LinearizedWindows) -> bool:
+        """Whether it is confirmed against the model without it under both."""
+        return all(is_confirmed(before, after, needed, selection.settings) for before in without)
+
+    return holds(polished.test) or holds(exact(polished.test))
 
 
 def _tried(

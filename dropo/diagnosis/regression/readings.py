@@ -325,9 +325,7 @@ class Readings:
         """
         motion = self._motion(self.plain)
         drive, needed = self._stated(motion, dof)
-        rows = self.held & motion.moves[:, dof]
-        scale = max(float(np.mean(needed[rows] ** 2)), float(np.mean(drive[rows] ** 2)), 1e-300)
-        return float(np.mean((needed - drive)[rows] ** 2)) / scale
+        return self._left(motion, dof, drive, needed, needed - drive)
 
     def left_with_friction(self, dof: int, rotor: float) -> float:
         """Return what is left where the drive is as stated, and the model lacks friction and rotor.
@@ -360,10 +358,15 @@ class Readings:
         high = [rotor * inertia, np.inf, np.inf, np.inf]
         fitted = ~self.held & motion.moves[:, dof]
         sizes = lsq_linear(table[fitted], (drive - needed)[fitted], (low, high)).x
+        return self._left(motion, dof, drive, needed, needed + table @ sizes - drive)
+
+    def _left(
+        self, motion: _SmoothedMotion, dof: int, drive: Array, needed: Array, left: Array
+    ) -> float:
+        """What is left (R,) of a joint's forces in rows held out, squared, as a fraction."""
         rows = self.held & motion.moves[:, dof]
-        explained = (needed + table @ sizes)[rows]
         scale = max(float(np.mean(needed[rows] ** 2)), float(np.mean(drive[rows] ** 2)), 1e-300)
-        return float(np.mean((explained - drive[rows]) ** 2)) / scale
+        return float(np.mean(left[rows] ** 2)) / scale
 
     def _joint(self, dof: int) -> Joint:
         """The joint of a degree of freedom."""

@@ -420,9 +420,9 @@ class _WiringSearch:
             known = fit.left < self.settings.explained**2 and fit.drive > 0
             if self.readings.is_servo(dof) or not known or 1 / limit < fit.drive < limit:
                 continue
-            left = self.readings.left_as_stated(dof)
-            with_friction = self.readings.left_with_friction(dof, limit)
-            if left > self.settings.unexplained**2 and with_friction > self.settings.explained**2:
+            if self.readings.left_as_stated(dof) <= self.settings.unexplained**2:
+                continue
+            if self.readings.left_with_friction(dof, limit) > self.settings.explained**2:
                 found.append(Change("unit_factor", "command", (dof,), fit.drive))
         return found
 
