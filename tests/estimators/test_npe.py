@@ -74,9 +74,9 @@ def test_boxes_close_in(fit):
 
 
 def test_one_round_is_not_enough(fit):
-    """The control of the rounds: from the whole box the same simulations tell three times less, and
-    the fit says that it is not done. Also with the summary of BayesSim, and a flow; the
-    problem's prior weighs the draws.
+    """The control of the rounds: from the whole box the posterior's area is more than five times as
+    large (10 to 140 times for twelve seeds), and the fit says that it is not done. Also with the
+    summary of BayesSim, and a flow; the problem's prior weighs the draws.
     """
     one = NPE(simulations=100, rounds=1, summary="moments", density="maf", draws=500).fit(
         problem(epsilon=NOISE, priors={"x0": "normal(1, 0.3)"}), rng=0
@@ -86,7 +86,7 @@ def test_one_round_is_not_enough(fit):
         one.message
         == "1 rounds of 100 simulations; each cut the box: take more of them, or more simulations."
     )
-    assert one.sd[1] > 3 * fit.sd[1]
+    assert np.prod(one.sd) > 5 * np.prod(fit.sd)
     assert one.simulator_steps < fit.simulator_steps / 3
     assert one.sd[0] < 0.5
 
