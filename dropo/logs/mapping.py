@@ -376,7 +376,7 @@ class _ChannelReader:
     def _make_source(self) -> Source:
         """Where the columns stand: as the log's others, unless the entry says otherwise."""
         entry = self.entry
-        own = entry.clock is not None
+        own = entry.clock is not None and not entry.clock.same
         clock = self.main.clock if entry.clock is None else _make_clock(entry.clock)
         return Source(entry.file or self.main.file, entry.topic or self.main.topic, clock, own)
 

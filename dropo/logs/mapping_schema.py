@@ -46,6 +46,16 @@ class ClockEntry(Entry):
     """The unit of the stamps."""
 
 
+class OtherClockEntry(ClockEntry):
+    """The time stamps of columns that do not stand beside the log's."""
+
+    same: Annotated[bool, Expected("true, where these are stamps of the log's clock, or false")] = (
+        False
+    )
+    """true: the log's own clock, in another column or unit; left out, another clock, whose delay
+    and skew are found."""
+
+
 class TimeEntry(ClockEntry):
     """The clock of a log, and where its columns stand."""
 
@@ -75,11 +85,14 @@ class ChannelEntry(Entry):
     ] = 0.0
     """What is added, in the column's own unit: one number for all columns, or a list."""
     file: Text | None = None
-    """A file beside the log that holds the columns, such as '{stem}_imu.csv'."""
+    """A file beside the log that holds the columns, such as '{stem}_imu.csv' or
+    'commands_{number}.csv', with the last number of the log's name."""
     topic: Text | None = None
     """The topic of the log that holds the columns."""
-    clock: Annotated[ClockEntry, Expected("a mapping such as {column: t, unit: us}")] | None = None
-    """The clock of these columns, where it is another than the log's."""
+    clock: (
+        Annotated[OtherClockEntry, Expected("a mapping such as {column: t, unit: us}")] | None
+    ) = None
+    """The stamps of these columns, where they are others than the log's."""
 
 
 class SensorEntry(ChannelEntry):

@@ -114,6 +114,8 @@ class ColumnName:
         The unit that a word names: one of units.UNITS, of time, or "tick".
     rest : tuple of str
         The other words, which may name the joint.
+    file : str or None
+        The file beside the log that it stands in, as a mapping names it.
     """
 
     column: str
@@ -122,9 +124,12 @@ class ColumnName:
     kind: str | None
     unit: str | None
     rest: tuple[str, ...]
+    file: str | None = None
 
 
-def read_name(column: str, topic: str | None, joints: Iterable[str]) -> ColumnName:
+def read_name(
+    column: str, topic: str | None, joints: Iterable[str], above: str | None = None
+) -> ColumnName:
     """Read the name of a column.
 
     Parameters
@@ -135,20 +140,23 @@ def read_name(column: str, topic: str | None, joints: Iterable[str]) -> ColumnNa
         Its topic.
     joints : iterable of str
         Names of joints and actuators, whose words keep their meaning.
+    above : str, optional
+        A name whose words hold for all its columns; by default the topic.
 
     Returns
     -------
     ColumnName
     """
+    above = above if above is not None else topic
     own = {word for name in joints for word in tokens(name)}
     words = tokens(column)
     quantity, kind, used = _quantity([word for word in words if word not in own])
     unit, of_unit = _unit([word for word in words if word not in own])
     if quantity is None:
         quantity, kind, _ = _quantity(words)
-    if topic is not None and quantity not in (COMMAND, TIME):
-        above, _, _ = _quantity(tokens(topic))
-        if above == COMMAND:
+    if above is not None and quantity not in (COMMAND, TIME):
+        of_all, _, _ = _quantity(tokens(above))
+        if of_all == COMMAND:
             kind = quantity
             quantity = COMMAND
     if unit in ("deg/s", "rad/s", "rpm", "rev/s") and quantity in (None, POSITION):
@@ -157,7 +165,7 @@ def read_name(column: str, topic: str | None, joints: Iterable[str]) -> ColumnNa
     return ColumnName(column, topic, quantity, kind, unit, tuple(rest))
 
 
-def read_names(log: Log, joints: Sequence[str]) -> list[ColumnName]:
+def read_names(log: Log, joints: Sequence[str], above: str | None = None) -> list[ColumnName]:
     """Read the names of all columns of all topics.
 
     Parameters
@@ -165,6 +173,8 @@ def read_names(log: Log, joints: Sequence[str]) -> list[ColumnName]:
     log : Log
         The log.
     joints : sequence of str
+        As of `read_name`.
+    above : str, optional
         As of `read_name`.
 
     Returns
@@ -186,7 +196,7 @@ def read_names(log: Log, joints: Sequence[str]) -> list[ColumnName]:
             if topic is None:
                 raise
             continue
-        found += [read_name(column, topic, joints) for column in _without_aliases(columns)]
+        found += [read_name(column, topic, joints, above) for column in _without_aliases(columns)]
     return found
 
 
