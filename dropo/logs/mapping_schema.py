@@ -17,7 +17,7 @@ from dropo.core.services.files.file_schema import (
     Word,
     refuse,
 )
-from dropo.logs.units import UNITS
+from dropo.logs.units import TICKS, UNITS
 
 COLUMNS = "a list of columns, or a slice such as 'pose[0:7]'"
 UNIT = "a unit, or a list of one for each column"
@@ -33,7 +33,8 @@ def _check_sign(sign: float) -> float:
 
 Column = Annotated[Word, Expected("the name of a column")]
 Text = Annotated[Word, Expected("a text")]
-Unit = Annotated[str, WithJsonSchema({"enum": list(UNITS)})]
+_UNITS = [{"enum": list(UNITS)}, {"type": "string", "pattern": f"^{TICKS}$"}]
+Unit = Annotated[str, WithJsonSchema({"anyOf": _UNITS})]
 Sign = Annotated[Number, AfterValidator(_check_sign), WithJsonSchema({"enum": [1, -1]})]
 
 

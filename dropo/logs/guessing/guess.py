@@ -20,9 +20,11 @@ from dropo.logs.guessing.guessed import LISTED, Guess, quote
 from dropo.logs.guessing.log_columns import LogColumns
 from dropo.logs.guessing.places import PlaceSettings, likeness, match
 from dropo.logs.guessing.scales import (
+    Choice,
     Scale,
     ScaleSettings,
     angle_unit,
+    answered_unit,
     command_unit,
     time_unit,
     velocity_unit,
@@ -31,7 +33,7 @@ from dropo.logs.guessing.sensor_entries import take_sensors
 from dropo.logs.guessing.words import ColumnName
 from dropo.logs.readers.reader import Log
 from dropo.logs.signals.stamps import increasing
-from dropo.logs.units import UNITS, seconds
+from dropo.logs.units import known_unit, seconds, unit_named
 from dropo.mjmodel.dynamics.drives import command_kind
 from dropo.mjmodel.joints import Joint, ModelJoints
 
@@ -386,19 +388,18 @@ class _Guesser:
             return
         columns = [found[name] for name in hinges]
         values = [self._columns.finite(column) for column in columns]
-        given = next((self._given_entry("qpos", name).get("unit") for name in hinges), None)
+        stated = [self._given_entry("qpos", name).get("unit") for name in hinges]
+        given = next((unit for unit in stated if unit is not None), None)
         hints = [given or column.unit for column in columns]
         commands, _ = match(self._columns.numeric_of(words.COMMAND), hinges, self._settings.places)
         followed = [self._paired(commands[name], found[name]) for name in commands]
         scale = angle_unit(
             values, [joints[name] for name in hinges], hints, followed, self._settings.scales
         )
-        if scale is None:
-            size = max(float(np.abs(one).max()) for one in values)
-            answer = self._decide(
-                f"Angles reach {size:.4g}: in which unit are {quote(columns)}?", ["rad", "deg"]
-            )
-            scale = Scale(answer or "rad", "that was the answer")
+        if isinstance(scale, Choice):
+            question = f"{scale.what}: in which unit are {quote(columns)}?"
+            answer = self._decide(question, scale.units) or scale.units[0]
+            scale = answered_unit(values, answer)
         for name, column in zip(hinges, columns, strict=True):
             self._keep_position(name, column, scale)
         whose = ", ".join(f"{name} = {found[name].column!r}" for name in hinges)
@@ -508,7 +509,7 @@ class _Guesser:
             if len(time) < 20:
                 continue
             hint = self._given_entry("qvel", name).get("unit") or column.unit
-            place = UNITS[scale.unit][1] * (scale.sign * place + scale.offset)
+            place = known_unit(scale.unit)[1] * (scale.sign * place + scale.offset)
             unit = velocity_unit(time, place, speed, hint, joint, self._settings.scales)
             if unit is None:
                 self.guess.lines.append(
@@ -739,7 +740,7 @@ class _Guesser:
 
     def _command_scale(self, column: ColumnName, kind: str, joint: str) -> Scale:
         """The unit of one command."""
-        hint = column.unit if column.unit in UNITS else None
+        hint = column.unit if unit_named(column.unit or "") else None
         is_slide = (
             self._robot.joints[joint].kind == "slide" if joint in self._robot.joints else False
         )
@@ -792,4 +793,4 @@ def _files_in(given: object, above: str | None = None) -> Iterator[tuple[str, st
 
 def _alike(one: Scale, other: Scale) -> bool:
     """Whether two units are of the same quantity."""
-    return UNITS[one.unit][0] == UNITS[other.unit][0]
+    return known_unit(one.unit)[0] == known_unit(other.unit)[0]

@@ -157,16 +157,19 @@ def test_an_encoder_by_its_commands(tmp_path: Path, turn: int, unit: str, full: 
 
 
 def test_an_encoder_by_the_ranges(tmp_path: Path) -> None:
-    """Counts without commands: the smallest encoder by which joints stay in their ranges."""
+    """Counts without commands: encoders by which joints stay in their ranges are asked for."""
     counts = {
         name: np.rint(angle * 16384 / (2 * np.pi))
         for name, angle in (("hip counts", HIP), ("knee counts", KNEE))
     }
     found = guess(tmp_path, {"t": TIME} | counts)
-    (unit,) = {entry["unit"] for entry in found.mapping["qpos"].values()}
-    turn = int(unit.removeprefix("tick/"))
-    largest = max(np.abs(count).max() for count in counts.values())
-    assert largest < turn <= 16384
+    (question,) = found.undecided
+    assert question.startswith("An encoder's counts reach 2868, and nothing tells how many a turn")
+    assert "tick/4096" not in question  # beyond the ranges
+    found = guess(tmp_path, {"t": TIME} | counts, ask=lambda asked, options: "tick/16384")
+    assert {entry["unit"] for entry in found.mapping["qpos"].values()} == {"tick/16384"}
+    given = {"qpos": {"left_knee": {"unit": "tick/16384"}}}
+    assert guess(tmp_path, {"t": TIME} | counts, given=given).undecided == []
 
 
 @pytest.mark.parametrize(
