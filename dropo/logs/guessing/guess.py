@@ -562,12 +562,30 @@ class _Guesser:
         efforts, _ = self._match("ctrl", self._columns.numeric_of(words.EFFORT), names)
         if efforts and words.EFFORT not in by_kind:
             by_kind["measured torque"] = efforts
+        if not by_kind and self._robot.actuators and "ctrl" not in self._given:
+            by_kind = self._ask_for_commands(names, owners)
         self._take_commands(by_kind, names, owners)
+
+    def _ask_for_commands(
+        self, names: list[str], owners: dict[str, str]
+    ) -> dict[str, dict[str, ColumnName]]:
+        """Commands in columns whose names say the joint and not what it is, where that is so."""
+        unknown = self._columns.numeric_of(None)
+        found = self._match("ctrl", unknown, names)[0]
+        if not found:
+            by_joint, _ = match(unknown, list(owners.values()), self._settings.places)
+            found = {name: by_joint[owners[name]] for name in names if owners[name] in by_joint}
+        if 2 * len(found) < len(names) or not found:
+            return {}
+        question = f"Are {quote(list(found.values()))} what the actuators were told?"
+        answer = self._decide(question, ["yes", "no"])
+        return {self._kind_of(found, owners): found} if answer == "yes" else {}
 
     def _commands_among(
         self, candidates: Sequence[ColumnName], names: list[str], owners: dict[str, str]
     ) -> dict[str, dict[str, ColumnName]]:
         """By the kind of command which column is that of each actuator."""
+        candidates = [one for one in candidates if not self._is_supply(one)]
         by_kind: dict[str, dict[str, ColumnName]] = {}
         for kind in (words.POSITION, words.EFFORT, words.VELOCITY, None):
             of_kind = [one for one in candidates if one.kind == kind]
@@ -586,6 +604,13 @@ class _Guesser:
             if found:
                 by_kind.setdefault(kind or self._kind_of(found, owners), found)
         return by_kind
+
+    def _is_supply(self, column: ColumnName) -> bool:
+        """Whether volts are those that a machine is fed with, which hardly change."""
+        if column.unit not in ("V", "mV"):
+            return False
+        values = self._columns.finite(column)
+        return bool(values.min() > 0.5 * values.max() > 0)
 
     def _say_files(self, by_kind: dict[str, dict[str, ColumnName]]) -> None:
         """Say in which files beside the log the commands stand, and on which clock."""
@@ -711,7 +736,10 @@ class _Guesser:
                 f"{kinds} alone. Give the model actuators of that kind, or log what they take."
             )
         if self._robot.actuators:
-            self.guess.lines.append("no commands in the log: all are taken as 0")
+            self.guess.lines.append(
+                "no commands in the log: all are taken as 0, as of motors that are off; where they "
+                "were not, give the columns with --map, or infer them with `dropo data actions`"
+            )
 
     def _scale_commands(
         self, chosen: dict[str, ColumnName], kind: str, why: str, owners: dict[str, str]

@@ -22,6 +22,7 @@ _QUANTITIES: dict[str, tuple[str, ...]] = {
         *("control", "action", "actions", "setpoint", "set", "ref", "reference", "des", "desired"),
         *("want", "wanted", "input", "u", "pwm", "request", "requested", "demand", "sp"),
         *("soll", "sollwert", "consigne", "qref", "qdes", "qcmd", "qtarget", "qgoal"),
+        *("volt", "volts", "voltage", "voltages", "mv", "duty"),
     ),
     OTHER: (
         *("acc", "accel", "acceleration", "accelerations", "qdd", "ddq", "temp", "temperature"),
@@ -54,6 +55,9 @@ _UNITS: dict[str, tuple[str, ...]] = {
     "tick": ("tick", "ticks", "count", "counts", "raw", "lsb", "steps"),
     "mN m": ("mnm",),
     "N m": ("nm",),
+    "mV": ("mv", "millivolts"),
+    "V": ("volt", "volts", "voltage", "voltages"),
+    "1": ("pwm", "duty"),
     "mA": ("ma", "milliamps"),
     "A": ("amp", "amps", "ampere"),
     "mm": ("mm",),
@@ -75,6 +79,27 @@ _EMPTY = (
 TIME_UNITS = tuple(word for unit in ("ms", "us", "ns") for word in _UNITS[unit])
 """Words of units that only stamps have."""
 _PER_SECOND = ("s", "sec", "second")
+_FORCES = ("N m", "mN m", "N", "V", "mV", "A", "mA")
+"""Units of what drives a motor."""
+_SIGNS = {
+    "v": "V",
+    "mv": "mV",
+    "a": "A",
+    "ma": "mA",
+    "nm": "N m",
+    "n m": "N m",
+    "n.m": "N m",
+    "n·m": "N m",
+    "n*m": "N m",
+    "mnm": "mN m",
+    "n": "N",
+    "%": "%",
+    "°": "deg",
+    "°/s": "deg/s",
+}
+"""Units as they stand in brackets at a name's end, in lower case."""
+_IN_BRACKETS = re.compile(r"^(.+?)\s*[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$")
+_AT_END = re.compile(r"^(.+)_(V|mV|A|mA|Nm|mNm)$")
 _ELEMENT = re.compile(r"(.+)\[([^\[\]]+)\]")
 _TOKEN = re.compile(r"[A-Za-z]+|\d+")
 _CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
@@ -149,9 +174,12 @@ def read_name(
     """
     above = above if above is not None else topic
     own = {word for name in joints for word in tokens(name)}
-    words = tokens(column)
+    bracket = _IN_BRACKETS.match(column) or _AT_END.match(column)
+    sign = _SIGNS.get(bracket[2].lower()) if bracket and bracket[2].lower() not in own else None
+    words = tokens(column if sign is None or bracket is None else bracket[1])
     quantity, kind, used = _quantity([word for word in words if word not in own])
     unit, of_unit = _unit([word for word in words if word not in own])
+    unit = sign or unit
     if quantity is None:
         quantity, kind, _ = _quantity(words)
     if above is not None and quantity not in (COMMAND, TIME):
@@ -159,10 +187,21 @@ def read_name(
         if of_all == COMMAND:
             kind = quantity
             quantity = COMMAND
+    if unit in _FORCES:
+        quantity, kind = _of_force(quantity, kind, unit)
     if unit in ("deg/s", "rad/s", "rpm", "rev/s") and quantity in (None, POSITION):
         quantity = VELOCITY
     rest = [word for word in words if word in own or word not in (*used, *of_unit, *_EMPTY)]
     return ColumnName(column, topic, quantity, kind, unit, tuple(rest))
+
+
+def _of_force(quantity: str | None, kind: str | None, unit: str) -> tuple[str | None, str | None]:
+    """The quantity of what is in a unit of forces, and the kind of its command."""
+    if quantity == COMMAND:
+        return COMMAND, kind if kind not in (None, POSITION) else EFFORT
+    if quantity is None:
+        return (COMMAND, EFFORT) if unit in ("V", "mV") else (EFFORT, None)
+    return quantity, kind
 
 
 def read_names(log: Log, joints: Sequence[str], above: str | None = None) -> list[ColumnName]:
