@@ -508,6 +508,13 @@ class _Guesser:
             time, place, speed = self._together(position, column)
             if len(time) < 20:
                 continue
+            if np.ptp(speed) == 0 < np.ptp(place):
+                stands = float(speed[0]) + 0.0  # which makes 0 of -0
+                self.guess.lines.append(
+                    f"velocity: {column.column!r} is left out, since it stands at {stands:g} while "
+                    f"{position.column!r} moves; it is estimated"
+                )
+                continue
             hint = self._given_entry("qvel", name).get("unit") or column.unit
             place = known_unit(scale.unit)[1] * (scale.sign * place + scale.offset)
             unit = velocity_unit(time, place, speed, hint, joint, self._settings.scales)

@@ -537,6 +537,14 @@ def test_currents_and_commanded_velocities_have_their_units(tmp_path: Path) -> N
     assert units == {"hip_servo": "rad/s", "knee_servo": "deg/s"}
 
 
+@pytest.mark.parametrize("stands", [0.0, 0.137])
+def test_a_velocity_that_stands_is_left_out(tmp_path: Path, stands: float) -> None:
+    columns = {"t": TIME, "hip q": HIP, "knee q": KNEE, "hip dq": SPEEDS[0]}
+    found = guess(tmp_path, columns | {"knee dq": np.full(len(TIME), stands)})
+    assert list(found.mapping["qvel"]) == ["left_hip"]
+    assert any(f"it stands at {stands:g} while 'knee q' moves" in one for one in found.lines)
+
+
 @pytest.mark.parametrize(
     ("names", "unit"),
     [
