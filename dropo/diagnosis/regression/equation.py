@@ -299,8 +299,8 @@ def _refuse_nothing(drives: Array, used: NDArray[np.bool_], driven: NDArray[np.b
     if not used.any():
         raise BadArgument(
             "No row of the log counts for a regression over inverse dynamics: in all of them "
-            "joints rest, are beyond their ranges, or something touches. Check the units of the positions "
-            "and the ranges of the model's joints."
+            "joints rest, are beyond their ranges, or something touches. Check the units of "
+            "the positions and the ranges of the model's joints."
         )
     if not drives[:, :, driven].any():
         raise Incompatible(
