@@ -200,7 +200,10 @@ def refuse_unsuitable(simulator: RobotSimulator) -> None:
             "all forces and masses could be larger by one factor."
         )
     if model.neq:
-        raise Incompatible("A regression over inverse dynamics knows no equality constraints.")
+        raise Incompatible(
+            "A regression over inverse dynamics knows no equality constraints, whose forces are "
+            "not known: diagnose without --quick, by simulations, which know them."
+        )
     observed = simulator.layout.observed("qpos")
     for joint in all_joints(model):
         if not observed.issuperset(range(joint.qpos, joint.qpos + len(joint.units("qpos")))):

@@ -4,7 +4,7 @@ In reading order: `guess_mapping` reads the names of all columns (`log_columns`)
 quantity, and lets `_Guesser` find time, positions, base, velocities and commands one after another.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -35,6 +35,7 @@ from dropo.logs.readers.reader import Log
 from dropo.logs.signals.stamps import increasing
 from dropo.logs.units import known_unit, seconds, unit_named
 from dropo.mjmodel.dynamics.drives import command_kind
+from dropo.mjmodel.followers import followers_of
 from dropo.mjmodel.joints import Joint, ModelJoints
 
 Ask = Callable[[str, Sequence[str]], str]
@@ -339,11 +340,22 @@ class _Guesser:
             if joints[name].kind == "slide":
                 self._scale_slide(name, found[name], joints[name])
         without = [name for name in joints if name not in found]
+        leaders = self._leaders(found)
+        for name in [one for one in without if one in leaders]:
+            self.guess.lines.append(
+                f"{name} follows {leaders[name]} in the model: no column is needed"
+            )
+            without.remove(name)
         if without:
             self.guess.lines.append(
                 f"no position in the log: {', '.join(without)}; such a joint starts where the "
                 "model has it"
             )
+
+    def _leaders(self, found: Collection[str]) -> dict[str, str]:
+        """By joint the one of those found that it follows in the model."""
+        followers = followers_of(self._robot.model)
+        return {one.name: one.leader for one in followers if one.leader in found}
 
     def _free_joints(self) -> list[Joint]:
         """The free joints of the model."""
@@ -360,7 +372,8 @@ class _Guesser:
         self, left: Sequence[ColumnName], names: Sequence[str], found: dict[str, ColumnName]
     ) -> None:
         """Note joints without a column while columns of positions are left over."""
-        without = [name for name in names if name not in found]
+        leaders = self._leaders(found)
+        without = [name for name in names if name not in found and name not in leaders]
         if not without or not left:
             return
         for name in without:
