@@ -18,6 +18,8 @@ from dropo.mjmodel.warnings import suppress_mujoco_warnings
 NAN = "NaN"
 """What MuJoCo's warning of a number in a file says that is none."""
 _ATTRIBUTE = re.compile(r"(\w+)\s*=\s*[\"']([^\"']*)[\"']")
+LONGEST_STEP = 10.0
+"""The longest physics step [s] that a model can have."""
 
 
 def gymnasium_spec(file: str) -> mujoco.MjSpec:
@@ -68,7 +70,7 @@ def load_model(
     BadArgument
         If a compiled model is given, and one of the fields needs bodies to be compiled anew.
     BadFile
-        If there is no such file, the model does not compile, or its timestep is not above 0.
+        If there is no such file, the model does not compile, or its timestep is none of a robot.
 
     Notes
     -----
@@ -88,8 +90,9 @@ def load_model(
     else:
         compiled = _compile(model, fields)
     step = compiled.opt.timestep
-    if not step > 0:
-        raise BadFile(_source(model), "timestep", "a number above 0", f"{step:g}")
+    if not 0 < step <= LONGEST_STEP:
+        expected = f"a number above 0 and up to {LONGEST_STEP:g} s"
+        raise BadFile(_source(model), "timestep", expected, f"{step:g}")
     compiled.opt.disableflags |= (
         mujoco.mjtDisableBit.mjDSBL_WARMSTART | mujoco.mjtDisableBit.mjDSBL_AUTORESET
     )
