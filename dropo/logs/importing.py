@@ -466,12 +466,15 @@ def _gather(
 
 def _count_rows(logged: LogRun, run: LogRun, spans: Sequence[GridSpan]) -> dict[str, Any]:
     """What import.json says of the rows of a run, before and after it was prepared."""
-    kept = min((len(series.time) for series in run.series), default=0)
-    longest = max((len(stamps.time) for stamps in logged.stamps), default=0)
+    dropped = logged.without_stamp
+    for source in dict.fromkeys(series.channel.source for series in logged.series):
+        before = [len(one.time) for one in logged.series if one.channel.source == source]
+        after = [len(one.time) for one in run.series if one.channel.source == source]
+        dropped += max(before) - min(after)
     return {
         "log": str(run.path),
         "read": logged.rows,
-        "dropped": logged.without_stamp + longest - kept,
+        "dropped": dropped,
         "resampled": sum(len(span.at) for span in spans if span.resampled),
         "kept": sum(len(span.at) for span in spans),
         "trajectories": len(spans),

@@ -19,6 +19,7 @@ from dropo.core.services.files.strict_yaml import format_yaml, read_yaml
 from dropo.core.services.tables import Report, Table, number
 from dropo.core.services.validation import Array
 from dropo.data.checks.sensors import unit_of
+from dropo.logs.guessing.files_beside import own_recordings
 from dropo.logs.guessing.guess import Ask, guess_mapping
 from dropo.logs.guessing.guessed import NAMED, Guess
 from dropo.logs.guessing.servos import estimate_drives
@@ -169,6 +170,7 @@ def init(
     called = folder / MAP if mapping is None else Path(mapping)
     spec, lost = load_spec(found)
     joints = model_joints(load_model(spec))
+    paths = own_recordings(paths)
     guess = guess_mapping(open_log(paths[0]), joints, given, ask)
     if guess.undecided:
         raise BadArgument(_describe_undecided(guess))

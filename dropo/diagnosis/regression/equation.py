@@ -252,7 +252,7 @@ def equation_of(
     Raises
     ------
     Incompatible
-        If the robot is not suitable (`refuse_unsuitable`).
+        If the robot is not suitable (`refuse_unsuitable`), or every command is 0.
     BadArgument
         If no trajectory is long enough, or nothing moves.
     """
@@ -290,7 +290,23 @@ def equation_of(
         joined[name] = np.concatenate([part[name] for part in parts], axis=axis)
     driven = np.zeros(simulator.model.nv, dtype=bool)
     driven[_drives_at_rest(simulator).dofs] = True
+    _refuse_nothing(joined["drives"], joined["used"], driven)
     return Equation(**joined, delays=delays, driven=driven, width=width)
+
+
+def _refuse_nothing(drives: Array, used: NDArray[np.bool_], driven: NDArray[np.bool_]) -> None:
+    """Refuse rows (D, R, nv) and (R, nv) in which no drive acts, or none that counts."""
+    if not used.any():
+        raise BadArgument(
+            "No row of the log counts for a regression over inverse dynamics: in all of them "
+            "joints rest, are beyond their ranges, or something touches. Check the units of "
+            "the positions and the ranges of the model's joints."
+        )
+    if not drives[:, :, driven].any():
+        raise Incompatible(
+            "A regression over inverse dynamics needs drives that act: every command is 0, as of "
+            "motors that are off. Where they were not, the log's commands are missing."
+        )
 
 
 def model_of(simulator: RobotSimulator) -> Model:

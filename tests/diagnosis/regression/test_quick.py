@@ -2,9 +2,11 @@
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 
+from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import BadArgument, Incompatible
 from dropo.diagnosis.findings.fittable import fittable
@@ -13,6 +15,7 @@ from dropo.diagnosis.search.library import robot_of
 from dropo.problems.file.writer import write_problem
 from dropo.problems.hopper.problem import hopper
 from dropo.problems.loading import load
+from dropo.simulators.mujoco.simulator import MujocoSimulator
 from dropo.studies.first_models.machines import (
     DESIGNS,
     Design,
@@ -293,3 +296,24 @@ def test_refusals(plain):
         QuickDiagnose().run(plain.using(transitions=20))
     with pytest.raises(BadArgument, match="'problem' of QuickDiagnose must be a Problem"):
         QuickDiagnose().run("hopper")
+
+
+@pytest.mark.parametrize(
+    ("limits", "said"),
+    [("", "every command is 0, as of motors that are off"), ("1 2", "No row of the log counts")],
+)
+def test_logs_that_tell_no_force_are_refused(limits, said):
+    """A pendulum that swings without its motor, and one far beyond its range all along."""
+    limited = f'range="{limits}"' if limits else ""
+    xml = (
+        '<mujoco><option timestep="0.01"/><worldbody><body>'
+        f'<joint name="j" axis="0 1 0" {limited}/><geom size="0.05" pos="0 0 -0.4" mass="1"/>'
+        '</body></worldbody><actuator><motor joint="j"/></actuator></mujoco>'
+    )
+    simulator = MujocoSimulator(mujoco.MjSpec.from_string(xml), [], threads=1)
+    angle = -0.8 * np.cos(5 * 0.01 * np.arange(1001))
+    rows = np.column_stack([angle, np.gradient(angle, 0.01)])
+    commands = np.full((1000, 1), 1.0 if limits else 0.0)
+    data = Trajectories(rows[:-1], commands, rows[1:], np.arange(1000) == 999)
+    with pytest.raises((BadArgument, Incompatible), match=said):
+        QuickDiagnose().run(Problem("pendulum", simulator, data, epsilon=1e-8))
