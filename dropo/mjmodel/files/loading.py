@@ -17,9 +17,9 @@ from dropo.mjmodel.warnings import suppress_mujoco_warnings
 
 NAN = "NaN"
 """What MuJoCo's warning of a number in a file says that is none."""
+STEPS = (1e-9, 1e3)
+"""Shortest and longest timestep [s]; others are mistakes in typing, and times overflow."""
 _ATTRIBUTE = re.compile(r"(\w+)\s*=\s*[\"']([^\"']*)[\"']")
-LONGEST_STEP = 10.0
-"""The longest physics step [s] that a model can have."""
 
 
 def gymnasium_spec(file: str) -> mujoco.MjSpec:
@@ -70,7 +70,8 @@ def load_model(
     BadArgument
         If a compiled model is given, and one of the fields needs bodies to be compiled anew.
     BadFile
-        If there is no such file, the model does not compile, or its timestep is none of a robot.
+        If there is no such file, the model does not compile, or its timestep is outside
+        `STEPS`.
 
     Notes
     -----
@@ -90,8 +91,9 @@ def load_model(
     else:
         compiled = _compile(model, fields)
     step = compiled.opt.timestep
-    if not 0 < step <= LONGEST_STEP:
-        expected = f"a number above 0 and up to {LONGEST_STEP:g} s"
+    shortest, longest = STEPS
+    if not shortest <= step <= longest:
+        expected = f"{shortest:g} to {longest:g} s"
         raise BadFile(_source(model), "timestep", expected, f"{step:g}")
     compiled.opt.disableflags |= (
         mujoco.mjtDisableBit.mjDSBL_WARMSTART | mujoco.mjtDisableBit.mjDSBL_AUTORESET
