@@ -15,7 +15,7 @@ from dropo.core.contracts.interactive_estimator import (
 )
 from dropo.core.contracts.problem import Problem
 from dropo.core.numerics.sobol import sobol_points
-from dropo.core.records.fits.fit import Fit, Status
+from dropo.core.records.fits.fit import Fit, Status, interrupted
 from dropo.core.records.fits.search_records import ReturnSearch
 from dropo.core.services.isolated_torch import isolated_torch
 from dropo.core.services.optional_dependencies import need
@@ -124,7 +124,7 @@ class BayRn(InteractiveEstimator):
             if len(returns) < 2:
                 raise
             status = Status.INTERRUPTED
-            message = f"Interrupted after {len(returns)} distributions: this is the best so far."
+            message = interrupted(len(returns), "distributions")
 
         points = points[: len(returns)]
         expected = posterior_mean(points, np.array(returns), rng)

@@ -22,7 +22,7 @@ from dropo.core.contracts.support.fisher_scoring import maximize_locally
 from dropo.core.contracts.support.maximize import SearchResult
 from dropo.core.contracts.support.mean_prior import MeanPrior, local_with_prior
 from dropo.core.numerics.tails import chi2_tail, normal_of_tail, student_below
-from dropo.core.records.fits.fit import Status
+from dropo.core.records.fits.fit import Status, interrupted
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.trajectories import Ints, Segments, Trajectories
 from dropo.core.services.errors import Incompatible, SimulationFailed
@@ -54,7 +54,6 @@ NOT_REACHED = (
     "the search did not reach the measurements: {:.0%} of the windows of single runs are far from"
     " them. There are no intervals"
 )
-INTERRUPTED = "Interrupted: this is the best so far."
 SLOW = "an iteration takes {}"
 
 
@@ -452,7 +451,7 @@ class _JointSearch:
         except KeyboardInterrupt:
             if self._position.best is None:
                 raise
-            status, reason = Status.INTERRUPTED, INTERRUPTED
+            status, reason = Status.INTERRUPTED, interrupted()
         best = self._position.best
         assert best is not None
         count = 0 if status is Status.INTERRUPTED else self._count

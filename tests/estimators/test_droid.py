@@ -10,7 +10,7 @@ from dropo.core.services.errors import BadArgument, Incompatible
 from dropo.estimators.droid import DROID
 from dropo.estimators.least_squares import LeastSquares
 from dropo.problems.simulated.slide import slide
-from dropo.simulators.toy import SlidingBlock
+from tests.models.interrupted_block import InterruptedBlock
 
 
 def test_mean_is_that_of_least_squares():
@@ -51,22 +51,11 @@ def test_a_budget_that_runs_out_is_told():
 
 def test_an_interruption_before_the_first_value_leaves_no_fit():
     """Later it leaves the best so far, of finite numbers."""
-
-    class Stopping(SlidingBlock):
-        predicted = 0
-        at = 1
-
-        def predict(self, *given, **named):
-            self.predicted += 1
-            if self.predicted == self.at:
-                raise KeyboardInterrupt
-            return super().predict(*given, **named)
-
-    simulator = Stopping()
+    simulator = InterruptedBlock(at=1)
     problem = replace(slide(), simulator=simulator)
     with pytest.raises(KeyboardInterrupt):
         DROID(budget=100).fit(problem)
-    simulator.at = simulator.predicted + 4
+    simulator.at = simulator.calls + 4
     fit = DROID(budget=100).fit(problem)
     assert fit.status is Status.INTERRUPTED
     assert np.isfinite(fit.search_record.squared_distance)

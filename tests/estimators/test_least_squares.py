@@ -12,6 +12,7 @@ from dropo.estimators.least_squares import LeastSquares
 from dropo.problems.simulated.slide import MEAN, slide
 from dropo.simulators.function import FunctionSimulator
 from dropo.simulators.toy import LinearSimulator, SlidingBlock, simulate
+from tests.models.interrupted_block import InterruptedBlock
 from tests.reference.pushes import Problem, pushes, z_of_mean
 
 
@@ -40,36 +41,25 @@ def test_a_point_estimate_has_no_spread():
     assert fit.phi.tolist() == fit.mean.tolist()
 
 
-class Stopping(SlidingBlock):
-    """Is interrupted at a linearization, once."""
-
-    linearized = 0
-    at = 0
-
-    def linearize(self, *given, **named):
-        self.linearized += 1
-        if self.linearized == self.at:
-            raise KeyboardInterrupt
-        return super().linearize(*given, **named)
+BETWEEN = 16
+"""The call with which the second pass begins."""
 
 
 def test_an_interruption_leaves_the_best_so_far():
-    """Nearer to the end the later it comes; before the first point there is none."""
+    """Nearer to the end the later it comes; before the first point there is none. Between both
+    passes it leaves the end of the first one.
+    """
     problem = slide()
     end = LeastSquares().fit(problem).mean
     away = []
-    for at in (2, 4):
-        simulator = Stopping()
-        simulator.at = at
-        fit = LeastSquares().fit(replace(problem, simulator=simulator))
+    for at in (4, 6, BETWEEN):
+        fit = LeastSquares().fit(replace(problem, simulator=InterruptedBlock(at)))
         assert fit.status is Status.INTERRUPTED
         assert "this is the best so far" in fit.message
         away.append(np.abs(fit.mean - end).max())
-    assert away[0] > 2 * away[1]
-    simulator = Stopping()
-    simulator.at = 1
+    assert away[0] > 2 * away[1] > 4 * away[2]
     with pytest.raises(KeyboardInterrupt):
-        LeastSquares().fit(replace(problem, simulator=simulator))
+        LeastSquares().fit(replace(problem, simulator=InterruptedBlock(at=1)))
 
 
 @pytest.mark.parametrize("weights", ["equal", (4.0, 0.25, 1.0)])

@@ -8,6 +8,7 @@ from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import describe_failures
 from dropo.core.contracts.support.mean_prior import MeanPrior
+from dropo.core.records.fits.fit import interrupted
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.services.errors import SimulationFailed
 from dropo.core.services.validation import Array, float_array
@@ -131,11 +132,17 @@ def estimate(
         lowest = np.maximum(1e-16 * np.var(targets, axis=0), 1e-300)
         variances = np.maximum(first.noise, lowest)
     half = plain_errors(first, width, settings) if step is None else step * width
-    if prior:
-        begin = prior.within.clip(first.value)
-        last = _with_prior(problem, run, variances, begin, budget, half, prior)
-    else:
-        last = _solve(problem, run, variances, first.value, budget, half)
+    try:
+        if prior:
+            begin = prior.within.clip(first.value)
+            last = _with_prior(problem, run, variances, begin, budget, half, prior)
+        else:
+            last = _solve(problem, run, variances, first.value, budget, half)
+    except InterruptedEstimate:
+        raise
+    except KeyboardInterrupt:  # before the first point of this pass
+        message = interrupted(first.evaluations)
+        raise InterruptedEstimate(replace(first, message=message)) from None
     return replace(last, evaluations=first.evaluations + last.evaluations)
 
 
@@ -333,8 +340,7 @@ def _solve(
     except KeyboardInterrupt:
         if function.best is None:
             raise
-        done = run.evaluations - before
-        message = f"Interrupted after {done} evaluations: this is the best so far."
+        message = interrupted(run.evaluations - before)
         raise InterruptedEstimate(_estimate_at(function.best, function, before, message)) from None
     message = "The estimate stopped moving."
     if result.status <= 0:

@@ -22,7 +22,7 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.support.fisher_scoring import maximize_locally
 from dropo.core.contracts.support.maximize import SearchResult, maximize
 from dropo.core.contracts.support.mean_prior import MeanPrior, local_with_prior, mean_places
-from dropo.core.records.fits.fit import Status
+from dropo.core.records.fits.fit import Status, interrupted
 from dropo.core.records.trajectories import Segments
 from dropo.core.services.errors import SimulationFailed
 from dropo.core.services.files.evaluation_log import EvaluationLog
@@ -39,7 +39,6 @@ CUT_SHORT = (
     " raise its budget."
 )
 STALLED = "The likelihood stopped rising after {} rounds; designs differ by more than the steps."
-INTERRUPTED = "Interrupted: this is the best so far."
 DIVERGED = "Simulations of a design diverged."
 SLOW = "an iteration takes {}"
 LINEAR = "--likelihood linear would take about {}"
@@ -257,7 +256,7 @@ class OuterIterations:
             if not results:
                 raise
             status = Status.INTERRUPTED
-            reason = INTERRUPTED
+            reason = interrupted()
 
         best = self._best(results)
         if status is Status.CONVERGED and not best.converged:

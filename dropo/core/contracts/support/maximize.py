@@ -10,7 +10,7 @@ from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.likelihood import LogLikelihood
 from dropo.core.contracts.optimizer import Optimizer, points_inside
 from dropo.core.contracts.simulator import WITHOUT_GRADIENTS
-from dropo.core.records.fits.fit import Status
+from dropo.core.records.fits.fit import Status, interrupted
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.validation import Array, require
@@ -162,7 +162,7 @@ def maximize(
         if not np.isfinite(best):
             raise
         status = Status.INTERRUPTED
-        reason = f"Interrupted after {done} evaluations: this is the best so far."
+        reason = interrupted(done)
     finally:
         optimizer.close()
     return SearchResult(space.from_unit(optimizer.best[0]), best, done, reason or "", status)

@@ -36,6 +36,25 @@ class Status(str, Enum):
     DONE = "done"  # nothing was searched (uniform randomization)
 
 
+def interrupted(done: int | None = None, of: str = "evaluations") -> str:
+    """Say that a search was interrupted, after how much of what.
+
+    Parameters
+    ----------
+    done : int, optional
+        How many of them; not said without.
+    of : str
+        What was counted.
+
+    Returns
+    -------
+    str
+        A sentence.
+    """
+    after = "" if done is None else f" after {done} {of}"
+    return f"Interrupted{after}: this is the best so far."
+
+
 @dataclass(frozen=True, repr=False, kw_only=True)
 class Fit(Report):
     """A distribution over the d parameters, and what it cost to find.
