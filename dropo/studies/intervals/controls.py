@@ -139,8 +139,8 @@ def controls(work: Work, seeds: int | None = None, *, settings: ControlSettings 
         f"{repeats} repeats of {count} data sets each, of two numbers whose posterior is known. The"
         f" p-value of a test is Bonferroni's over both. Of right ones {settings.level:.0%} or less"
         f" are to be below {settings.level:g}; the interval is Clopper and Pearson's.",
-        "Expected coverage, by distances to random points, sees a bias less well than ranks do: what"
-        " points on one side see too near, others see too far.",
+        "Expected coverage, by distances to random points, sees a bias less well than ranks do:"
+        " what points on one side see too near, others see too far.",
     )
     title = f"Controls of the statistical tests, {repeats} repeats"
     table = Table("How often a test rejects", header, tuple(rows))
