@@ -168,7 +168,7 @@ def verify(folder: str | Path, *, trusted: bool = False) -> Verification:
     rollout = PlainRollout(simulator, values_of(simulator, content), path.parent, trusted)
     part = held_out_part(problem, int(content["window_steps"]))
     errors: list[Verified] = []
-    for announced in content["extended"]["horizons"]:
+    for i, announced in enumerate(content["extended"]["horizons"]):
         windows = held_out_windows(part, announced["steps"])
         if announced["rmse"] is None or not len(windows):
             continue
@@ -178,6 +178,10 @@ def verify(folder: str | Path, *, trusted: bool = False) -> Verification:
         (found,) = errors_of(simulator, predicted[None], windows, spread)
         scale = np.abs(simulator.targets(windows)).max()
         for unit, value in found.by_unit.items():
+            if unit not in announced["units"]:
+                key = f"extended.horizons.{i}.units"
+                got = ", ".join(announced["units"]) or "none"
+                raise BadFile(kept, key, f"an error in {unit}", got)
             errors.append(
                 Verified(
                     announced["steps"],
