@@ -88,6 +88,9 @@ def test_clean_hopper_is_found_to_rounding():
     np.testing.assert_allclose(fit.mean, MASSES, rtol=1e-6)
     np.testing.assert_allclose(fit.scale, 1e-5, rtol=1e-6)
     assert np.isnan(fit.scale_se).all()  # a spread at its bound has no symmetric error
+    low, high = fit.sd_interval().T  # but it cannot be large
+    assert (low == 0).all()
+    assert (high < 0.1 * (fit.space.high - fit.space.low)).all()
     assert fit.simulator_steps < 2 * 100 * 1000 * 4
 
 

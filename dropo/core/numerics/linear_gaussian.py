@@ -42,7 +42,7 @@ def scores_and_information(
     information = np.zeros((2 * d, 2 * d))
     for block in row_blocks(rows, 24 * p * (p + d)):
         own = jacobian[block]
-        solved, gram = _solved(own, covariance, epsilon)
+        solved, gram = solved_rows(own, covariance, epsilon)
         by_mean = np.einsum("rpd,rp->rd", solved, residuals[block])
         scores[block, :d] = by_mean
         scores[block, d:] = 0.5 * (by_mean**2 - np.einsum("rdd->rd", gram))
@@ -74,12 +74,29 @@ def information_of_units(
     rows, p, d = jacobian.shape
     out = np.zeros((int(label.max()) + 1, d, d))
     for block in row_blocks(rows, 24 * p * (p + d)):
-        np.add.at(out, label[block], _solved(jacobian[block], covariance, epsilon)[1])
+        np.add.at(out, label[block], solved_rows(jacobian[block], covariance, epsilon)[1])
     return out
 
 
-def _solved(jacobian: Array, covariance: Array, epsilon: Array) -> tuple[Array, Array]:
-    """Sigma^-1 J (r, p, d) and J' Sigma^-1 J (r, d, d) of a block of rows."""
+def solved_rows(jacobian: Array, covariance: Array, epsilon: Array) -> tuple[Array, Array]:
+    """Weigh the derivatives of rows by the inverse of their covariance.
+
+    Parameters
+    ----------
+    jacobian : (r, p, d) array
+        Derivatives J of the predictions by the parameters.
+    covariance : (d, d) array
+        S, of the parameters.
+    epsilon : (p,) array
+        Noise variances.
+
+    Returns
+    -------
+    solved : (r, p, d) array
+        Sigma^-1 J, with Sigma = J S J' + diag(epsilon).
+    gram : (r, d, d) array
+        J' Sigma^-1 J.
+    """
     sigma = jacobian @ covariance @ jacobian.swapaxes(1, 2)
     sigma[:, np.arange(len(epsilon)), np.arange(len(epsilon))] += epsilon
     solved: Array = np.asarray(np.linalg.solve(sigma, jacobian), dtype=float)

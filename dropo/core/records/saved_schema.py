@@ -34,6 +34,7 @@ class SavedParameter(Saved):
     sd: Known
     mean_se: Known
     scale_se: Known
+    variance_se: Known = None
     degrees: Known = None
     unit: str
     low: float

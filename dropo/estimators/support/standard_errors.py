@@ -3,15 +3,17 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dropo.core.contracts.family import Family
 from dropo.core.contracts.likelihood import LocalLogLikelihood
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.support.mean_prior import MeanPrior, mean_places
-from dropo.core.numerics.dependence import Units, independent
+from dropo.core.numerics.dependence import Units, independent, unit_sums
 from dropo.core.numerics.kept_rows import MEMORY, KeptRows, MemorySettings, keep_rows, row_blocks
 from dropo.core.numerics.linear_gaussian import information_of_units, scores_and_information
 from dropo.core.numerics.robust_covariance import inverse_information, sandwich
+from dropo.core.numerics.shared_draws import pairs_of, score_covariances
 from dropo.core.records.independent_units import units_of
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.trajectories import Ints
@@ -33,12 +35,15 @@ class JacobianStepSettings:
         Half width of a local model's differences, which is smooth.
     edge : float
         An unknown that is nearer than this to its bound is on it.
+    small : float
+        A scale of so many standard errors of its mean changes no prediction that can be told.
     """
 
     least: float = 1e-3
     largest: float = 1e-2
     local: float = 1e-6
     edge: float = 1e-6
+    small: float = 0.1
 
 
 DIFFERENCES = JacobianStepSettings()
@@ -57,6 +62,20 @@ class ShareSettings:
     most: int = 1000
 
 
+@dataclass(frozen=True)
+class SharedDrawSettings:
+    """When scores of a spread are taken for those of units that share a draw.
+
+    Attributes
+    ----------
+    most : int
+        With more parameters that vary it is left to the residuals alone: numbers grow as d^4.
+    """
+
+    most: int = 16
+
+
+SHARED_DRAWS = SharedDrawSettings()
 SHARES = ShareSettings()
 
 
@@ -91,6 +110,8 @@ class StandardErrors:
         The degrees of freedom of the means' errors.
     jacobian : (R, p, d) array, in memory or in a file
         Of the predictions by the parameters.
+    variance : (d,) array or None
+        Of the variances, also of those that are 0; None where only the scales' are known.
     correlation : (d, d) array or None
         Of the correlations, NaN where one is on its bound; None of a family without, or where the
         likelihood has no scores of its own.
@@ -102,6 +123,7 @@ class StandardErrors:
     scale: Array
     degrees: Array
     jacobian: KeptRows
+    variance: Array | None = None
     correlation: Array | None = None
     prior: OfPrior | None = None
 
@@ -220,15 +242,14 @@ def local_standard_errors(
     StandardErrors
     """
     own = len(family.unknowns)
-    names = objective.unknowns.names
     _, scores, information = objective.value_score_information(phi)
     units = units_of(problem.segments)
     of_groups = len(units.label) != len(scores)
     if of_groups:  # their scores are independent as they are
         units = independent(len(scores))
 
-    inside = _inside(family.unknowns, phi[:own], settings.edge)
-    free = np.concatenate([inside, np.ones(len(phi) - own, dtype=bool)])
+    free = np.ones(len(phi), dtype=bool)
+    free[:own] = _with_errors(family, phi[:own], settings.edge)
     errors = np.full(len(phi), np.nan)
     degrees = np.full(len(phi), np.nan)
     means = mean_places(objective, family.space)
@@ -242,30 +263,102 @@ def local_standard_errors(
     by_unit = None
     if not of_groups:
         noise = np.maximum(objective.epsilon(phi), rounding(problem))
-        sd = family.sd(phi[:own])
-        spread = family.correlation(phi[:own]) * np.outer(sd, sd)
+        spread = _spread(family, phi[:own])
         by_unit = _information_by_unit(jacobian, spread, noise, information, means, units)
     if by_unit is not None:
         by_unit = by_unit[:, free][:, :, free]
     covariance, degrees[free] = sandwich(scores, own_information, units, of_free, by_unit)
-    del scores
     if objective.errors_from_model:
         known = own_information if of_free is None else own_information + np.diag(of_free)
         covariance = _at_least(covariance, np.linalg.pinv(known, hermitian=True))
+    if not (of_groups or units.serial):
+        least = _with_shared_draws(problem, family, objective, phi, free, scores, jacobian, units)
+        covariance = _at_least(covariance, least)
     errors[free] = np.sqrt(np.diagonal(covariance))
     of_prior = _of_prior(prior, family.mean(phi[:own]), means, information, free)
 
-    scale = np.full(len(means), np.nan)
-    for i, name in enumerate(family.space.names):
-        if f"scale.{name}" in names:
-            scale[i] = errors[names.index(f"scale.{name}")]
-    scale[~(scale < family.scale(phi[:own]))] = np.nan
+    scale, variance = _of_spreads(family, objective, phi, errors, units, settings)
     whole = np.full((len(phi), len(phi)), np.nan)
     whole[np.ix_(free, free)] = covariance
     correlation = _correlation_errors(family, phi[:own], whole[:own, :own], settings)
     return StandardErrors(
-        errors[means], scale, degrees[means], jacobian, correlation, prior=of_prior
+        errors[means], scale, degrees[means], jacobian, variance, correlation, of_prior
     )
+
+
+def _with_errors(family: Family, phi: Array, edge: float) -> NDArray[np.bool_]:
+    """Which of the family's unknowns have errors: all that are not on a bound, and correlations.
+
+    Held fixed on its bound a correlation would make errors of the sds too small.
+    """
+    correlations = [name.startswith("partial.") for name in family.unknowns.names]
+    return _inside(family.unknowns, phi, edge) | np.array(correlations, dtype=bool)
+
+
+def _of_spreads(
+    family: Family,
+    objective: LocalLogLikelihood,
+    phi: Array,
+    errors: Array,
+    units: Units,
+    settings: JacobianStepSettings,
+) -> tuple[Array, Array]:
+    """Standard errors (d,) of the scales, and of the variances, from those of phi (m,)."""
+    names = objective.unknowns.names
+    own = phi[: len(family.unknowns)]
+    scale = np.full(len(family.space), np.nan)
+    for i, name in enumerate(family.space.names):
+        if f"scale.{name}" in names:
+            scale[i] = errors[names.index(f"scale.{name}")]
+    size = family.scale(own)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        variance = 2 * family.sd(own) ** 2 * scale / size
+    mean_se = errors[mean_places(objective, family.space)]
+    none = _variances_of_none(family, objective, phi, mean_se, units, settings)
+    scale[~(scale < size)] = np.nan
+    return scale, np.where(np.isfinite(none), none, variance)
+
+
+def _variances_of_none(
+    family: Family,
+    objective: LocalLogLikelihood,
+    phi: Array,
+    mean_se: Array,
+    units: Units,
+    settings: JacobianStepSettings,
+) -> Array:
+    """(d,) standard errors of the variances of parameters that do not vary; NaN of all others.
+
+    A scale of 0 has no score, but its square has: that of a scale so small that it changes nothing.
+    """
+    names = objective.unknowns.names
+    own = phi[: len(family.unknowns)]
+    scale = family.scale(own)
+    out = np.full(len(mean_se), np.nan)
+    unit = family.unknowns.to_unit(own)
+    none = [
+        i
+        for i, name in enumerate(family.space.names)
+        if f"scale.{name}" in names
+        and unit[names.index(f"scale.{name}")] <= settings.edge
+        and np.isfinite(mean_se[i])
+    ]
+    if not none:
+        return out
+    places = [names.index(f"scale.{family.space.names[i]}") for i in none]
+    small = np.maximum(settings.small * mean_se[none], scale[none])
+    moved = phi.copy()
+    moved[places] = small
+    _, scores, information = objective.value_score_information(moved)
+    by_variance = 1 / (2 * small)
+    scores = scores[:, places] * by_variance
+    information = information[np.ix_(places, places)] * np.outer(by_variance, by_variance)
+    if not (np.diagonal(information) > 0).all():
+        return out
+    covariance = sandwich(scores, information, units)[0]
+    covariance = _at_least(covariance, inverse_information(information))
+    out[none] = np.sqrt(np.diagonal(covariance))
+    return out
 
 
 def _information_by_unit(
@@ -288,6 +381,70 @@ def _information_by_unit(
     of_means = information_of_units(jacobian, spread, noise, units.label)
     out[:, means[:, None], means] = of_means
     return out
+
+
+def _with_shared_draws(
+    problem: Problem,
+    family: Family,
+    objective: LocalLogLikelihood,
+    phi: Array,
+    free: NDArray[np.bool_],
+    scores: Array,
+    jacobian: KeptRows,
+    units: Units,
+    settings: SharedDrawSettings = SHARED_DRAWS,
+    steps: JacobianStepSettings = DIFFERENCES,
+) -> Array:
+    """(f, f) covariance of scales and correlations of a Gaussian of which each unit has a draw.
+
+    That of all other free unknowns is 0. The residuals of few units say it badly: they are squares
+    of squares. How much of a draw a unit shares is what their means' scores show, 0 to 1.
+    """
+    places = np.flatnonzero(free)
+    out = np.zeros((len(places), len(places)))
+    own = phi[: len(family.unknowns)]
+    names = family.unknowns.names
+    scales = [f"scale.{name}" for name in family.space.names]
+    varying = np.array(
+        [i for i, scale in enumerate(scales) if scale in names and free[names.index(scale)]],
+        dtype=np.int64,
+    )
+    if not 0 < len(varying) <= settings.most:
+        return out
+
+    # What the family's free unknowns of the spread do to its entries.
+    entries = tuple(varying[pairs_of(len(varying))])
+    unknowns = [i for i in places if i < len(own) and not names[i].startswith("mean.")]
+    half = steps.local * np.eye(len(own))[unknowns] * (family.unknowns.high - family.unknowns.low)
+    ends = [[_spread(family, own + sign * h)[entries] for sign in (1, -1)] for h in half]
+    slopes = np.array(
+        [(up - down) / (2 * h.sum()) for (up, down), h in zip(ends, half, strict=True)]
+    )
+    noise = np.maximum(objective.epsilon(phi), rounding(problem))
+    found = score_covariances(jacobian, _spread(family, own), noise, units.label, varying)
+
+    # How much units share, by the scores of their means.
+    means = mean_places(objective, family.space)[varying]
+    used = free[means]
+    of_means = np.searchsorted(places, means[used])
+    seen = np.sum(unit_sums(scores[:, of_means], units) ** 2, axis=0)
+    expected = np.diagonal(found.mean)[used]
+    excess = np.sum(np.diagonal(found.mean_shared)[used] / expected)
+    shared = np.sum(seen / expected - 1) / excess if excess > 0 else 0.0
+    shared = float(np.clip(shared, 0.0, 1.0))
+
+    information = slopes @ found.pair @ slopes.T
+    variance = slopes @ (found.pair + shared**2 * found.pair_shared) @ slopes.T
+    inverse = np.linalg.pinv(information, hermitian=True)
+    block = np.searchsorted(places, unknowns)
+    out[np.ix_(block, block)] = inverse @ variance @ inverse
+    return out
+
+
+def _spread(family: Family, phi: Array) -> Array:
+    """(d, d) the covariance of a member."""
+    sd = family.sd(phi)
+    return np.asarray(family.correlation(phi) * np.outer(sd, sd))
 
 
 def _curvature(prior: MeanPrior | None, mean: Array, places: Ints, size: int) -> Array | None:

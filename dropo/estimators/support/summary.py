@@ -177,6 +177,7 @@ def _with_errors(
     return {
         "mean_se": np.where(determined(problem.space, left), errors.mean, np.nan),
         "scale_se": errors.scale,
+        "variance_se": errors.variance,
         "degrees_of_freedom": errors.degrees,
         "correlation_se": errors.correlation,
         "identifiability": tuple(describe_not_identifiable(problem, mean, errors.jacobian, null)),

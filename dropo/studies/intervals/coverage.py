@@ -20,7 +20,7 @@ from dropo.studies.engine.study import Study, Table
 from dropo.studies.engine.work import Work
 from dropo.studies.intervals.data_sets import CORRELATION, DRY, SPREAD, data_set
 
-EVALUATION = 1119  # in the seeds of the data sets
+EVALUATION = 1127  # in the seeds of the data sets
 FEW = (2, 500)
 """Trajectories, and control steps of each: few long ones."""
 MANY = (25, 40)

@@ -73,6 +73,9 @@ class Fit(Report):
         In the parameters' units: the family's own scale, and the distribution's standard deviation.
     mean_se, scale_se : (d,) array
         Standard errors, NaN where there is none.
+    variance_se : (d,) array or None
+        Standard errors of the variances, also of those that are 0, whose scales have none; NaN
+        where there is none. None: as the scales' say.
     correlation : (d, d) array
         Of the distribution.
     correlation_se : (d, d) array or None
@@ -165,6 +168,7 @@ class Fit(Report):
     wall_time_s: float = 0.0
     inner_evaluations: int = 0
     seed: int | None = None
+    variance_se: Array | None = None
     degrees_of_freedom: Array | None = None
     correlation_se: Array | None = None
     places: Mapping[str, dict[str, Any]] = field(default_factory=dict)
@@ -281,11 +285,13 @@ class Fit(Report):
     def sd_interval(self, level: float = 0.95) -> Array:
         """Confidence intervals of the distribution's standard deviations.
 
-        A variance is taken for chi-square with as many degrees of freedom as its standard error
-        says, and no more than the means have, as of a sample from a Gaussian: so intervals are not
-        symmetric, and their middle allows for the (G - 1) / G of maximum likelihood. They end at
-        the width of the search interval. Tails heavier
-        than a Gaussian's make them too short where units of data are few.
+        A variance is taken for chi-square with the degrees of freedom of the means, as of a sample
+        from a Gaussian: so intervals are not symmetric, and their middle allows for the (G - 1) / G
+        of maximum likelihood. Where its standard error is larger, that is put down to noise, which
+        adds to the variance and is subtracted again, or, of a variance larger than its error, to
+        tails heavier than a Gaussian's, which leave fewer degrees: each end is the farther one of
+        the two. They end at 0 and at the width of the search interval. Tails make them too short
+        where units of data are few.
 
         Parameters
         ----------
@@ -295,7 +301,7 @@ class Fit(Report):
         Returns
         -------
         (d, 2) array
-            In the parameters' units; NaN without a standard error of the scale.
+            In the parameters' units; NaN without a standard error of the variance.
 
         Raises
         ------
@@ -304,13 +310,29 @@ class Fit(Report):
         """
         require(0 < level < 1, "level", "between 0 and 1", level, "Fit.sd_interval")
         count = self._degrees()
+        tails = np.array([[(1 + level) / 2], [(1 - level) / 2]])
+        variance = self.sd**2
+        error = self._variance_errors()
         with np.errstate(divide="ignore", invalid="ignore"):
-            degrees = np.minimum(0.5 * (self.scale / self.scale_se) ** 2, count)
-            unbiased = degrees * np.where(np.isinf(count), 1.0, (count + 1) / count)
-            tails = np.array([[(1 + level) / 2], [(1 - level) / 2]])
-            ends = self.sd * np.sqrt(unbiased / chi2_quantile(tails, degrees))
+            larger = np.where(np.isinf(count), 1.0, (count + 1) / count)
+            fewer = np.minimum(2 * (variance / error) ** 2, count)
+            fewer[~(variance > error)] = np.nan
+            by_tails = variance * larger * fewer / chi2_quantile(tails, fewer)
+            noise = np.maximum(error * np.sqrt(count / 2) - variance, 0.0)
+            by_noise = (variance + noise) * larger * count / chi2_quantile(tails, count) - noise
+            low = np.fmin(by_tails[0], by_noise[0])
+            high = np.fmax(by_tails[1], by_noise[1])
+        ends = np.sqrt(np.maximum([low, high], 0.0))
         ends = np.minimum(ends, self.space.high - self.space.low)
-        return np.asarray(np.where(np.isfinite(self.scale_se), ends, np.nan).T)
+        return np.asarray(np.where(np.isfinite(error), ends, np.nan).T)
+
+    def _variance_errors(self) -> Array:
+        """(d,) standard errors of the variances, NaN where there is none."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            of_scales = 2 * self.sd**2 * self.scale_se / self.scale
+        if self.variance_se is None:
+            return of_scales
+        return np.where(np.isfinite(self.variance_se), self.variance_se, of_scales)
 
     def correlation_interval(self, level: float = 0.95) -> Array:
         """Confidence intervals of the correlations, by Fisher's z.

@@ -179,6 +179,8 @@ def _rows_of(fit: Fit) -> dict[str, dict[str, Any]]:
     """The entry of each parameter."""
     columns = {name: getattr(fit, name) for name in COLUMNS}
     degrees = fit.degrees_of_freedom
+    if fit.variance_se is not None:
+        columns["variance_se"] = fit.variance_se
     columns["degrees"] = np.full(len(fit.mean), np.inf) if degrees is None else degrees
     intervals = fit.interval()
     of_sd = fit.sd_interval()
@@ -244,6 +246,7 @@ def _fit_from(content: dict[str, Any], arrays: dict[str, Array]) -> Fit:
     saved |= _read_parts(content, arrays)
     fit = Fit(
         **saved,
+        variance_se=_variance_errors(rows),
         degrees_of_freedom=_degrees(rows, columns["mean_se"]),
         space=space,
         mse=number_or_nan(content["mse"]),
@@ -291,6 +294,13 @@ def _matrix(saved: list[list[float | None]] | None) -> Array | None:
     if saved is None:
         return None
     return np.array([[number_or_nan(value) for value in row] for row in saved])
+
+
+def _variance_errors(rows: dict[str, Any]) -> Array | None:
+    """The standard errors of variances, which may be missing."""
+    if not all("variance_se" in row for row in rows.values()):
+        return None
+    return np.array([number_or_nan(row["variance_se"]) for row in rows.values()])
 
 
 def _degrees(rows: dict[str, Any], mean_se: Array) -> Array:

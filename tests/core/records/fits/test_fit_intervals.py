@@ -59,6 +59,33 @@ def test_intervals_of_sds_and_correlations_cover(count):
     assert np.mean(symmetric) < 0.93
 
 
+@pytest.mark.parametrize("truth", [0.0, 0.05, 0.2])
+def test_intervals_of_sds_cover_under_noise(truth):
+    """Variances (25 groups) less a noise of known size, which may be much larger and leave 0: 93 %
+    of intervals or more hold the truth, and those of 0 begin at 0.
+    """
+    rng = np.random.default_rng(2)
+    count = 25
+    noise = 0.1**2
+    held = []
+    for _ in range(SETS // 3):
+        seen = (truth**2 + noise) * rng.chisquare(count - 1) / count
+        variance = max(seen - noise, 0.0)
+        sd = np.full(2, np.sqrt(variance))
+        fit = replace(
+            ANY_FIT,
+            scale=sd,
+            sd=sd,
+            scale_se=np.full(2, np.nan),
+            variance_se=np.full(2, (variance + noise) * np.sqrt(2 / (count - 1))),
+            degrees_of_freedom=np.full(2, count - 1.0),
+        )
+        low, high = fit.sd_interval()[0]
+        held.append(low <= truth <= high)
+        assert variance > 0 or low == 0
+    assert np.mean(held) > 0.93
+
+
 def test_what_has_no_error_has_no_interval(tmp_path):
     """A scale without one, a family without correlations; both come back from the files."""
     fit = sample_fit(np.random.default_rng(1).standard_normal((20, 2)))
@@ -71,6 +98,10 @@ def test_what_has_no_error_has_no_interval(tmp_path):
     fit.save(tmp_path)
     again = Fit.load(tmp_path)
     np.testing.assert_array_equal(again.correlation_se, fit.correlation_se)
+    assert again.variance_se is None
+    none = replace(fit, variance_se=np.array([0.1, np.nan]))
+    none.save(tmp_path)
+    np.testing.assert_array_equal(Fit.load(tmp_path).variance_se, [0.1, np.nan])
     entry = fit.to_json()["parameters"]["mass"]
     assert entry["sd_interval"] == pytest.approx(fit.sd_interval()[0].tolist())
     assert again.to_json() == fit.to_json()
