@@ -13,6 +13,7 @@ from dropo.cli.support.output import (
     computing_options,
     printing_options,
     show,
+    transitions_option,
     trusting_option,
 )
 
@@ -40,6 +41,7 @@ def add(commands: Any) -> None:
         below, "describe", run_describe, "transitions, trajectories, and the range of every signal"
     )
     describe.add_argument("target", metavar="PROBLEM_OR_DATA", help=target)
+    transitions_option(describe)
     check = _action(
         below, "check", run_check, "what looks odd; status 2 where the data cannot be used"
     )
@@ -48,6 +50,7 @@ def add(commands: Any) -> None:
     )
     check.add_argument("--map", type=Path, metavar="FILE", help="the mapping file, for raw logs")
     check.add_argument("--model", type=Path, metavar="MJCF", help="the model, for raw logs")
+    transitions_option(check)
     inputs = _action(
         below,
         "inputs",
@@ -60,6 +63,7 @@ def add(commands: Any) -> None:
         metavar="PROBLEM",
         help="a problem, or a problem file whose data hold several commands",
     )
+    transitions_option(inputs)
     states = _action(
         below,
         "states",
@@ -83,6 +87,7 @@ def add(commands: Any) -> None:
     states.add_argument(
         "--out", type=Path, required=True, metavar="DIR", help="the folder of the new problem"
     )
+    transitions_option(states)
     _add_actions(below)
 
 
@@ -203,7 +208,7 @@ def run_describe(arguments: argparse.Namespace) -> int:
     """
     from dropo.data.describe import columns, controls, describe
 
-    trajectories, problem = _target(arguments.target, arguments.trust)
+    trajectories, problem = _target(arguments.target, arguments)
     p = trajectories.observations.shape[1]
     q = trajectories.actions.shape[1]
     description = describe(trajectories, columns(problem, p), controls(problem, q))
@@ -242,7 +247,7 @@ def run_inputs(arguments: argparse.Namespace) -> int:
     problems = {
         name: load(
             arguments.problem, threads=arguments.threads, input=name, trusted=arguments.trust
-        )
+        ).using(transitions=arguments.transitions)
         for name in names
     }
     found = choose_problem_input(problems)
@@ -273,6 +278,7 @@ def run_states(arguments: argparse.Namespace) -> int:
     from dropo.problems.loading import load
 
     measured = load(arguments.problem, threads=arguments.threads, trusted=arguments.trust)
+    measured = measured.using(transitions=arguments.transitions)
     problem, found = with_states(measured, arguments.unmeasured, causal=arguments.causal)
     write_problem(problem, arguments.out)
     show(arguments, found, found.to_json())
@@ -350,12 +356,14 @@ def _findings(arguments: argparse.Namespace) -> "list[Finding]":
             "Raw logs are checked with both --map and --model. Got one of them alone."
         )
     if arguments.map is not None:
+        if arguments.transitions is not None:
+            raise BadArgument("--transitions is of problems and data; raw logs have rows.")
         return _raw_findings(arguments)
     if len(arguments.target) > 1:
         raise BadArgument(
             "One problem or data set is checked at a time; several raw logs need --map and --model."
         )
-    trajectories, problem = _target(arguments.target[0], arguments.trust)
+    trajectories, problem = _target(arguments.target[0], arguments)
     found = check(trajectories, problem)
     if problem is not None and problem.held_out is not None:
         for finding in check(problem.held_out, problem.simulator):
@@ -380,8 +388,8 @@ def _raw_findings(arguments: argparse.Namespace) -> "list[Finding]":
         progress.close()
 
 
-def _target(target: str, trusted: bool) -> tuple["Trajectories", "Problem | None"]:
-    """A problem with its data, or data alone."""
+def _target(target: str, arguments: argparse.Namespace) -> tuple["Trajectories", "Problem | None"]:
+    """A problem with its data, or data alone; the first transitions where these are asked for."""
     from dropo.core.services.errors import UnknownName
     from dropo.core.services.registry import names
     from dropo.core.services.validation import nearest
@@ -389,11 +397,13 @@ def _target(target: str, trusted: bool) -> tuple["Trajectories", "Problem | None
     from dropo.problems.loading import load, refuse_folder
 
     if target in names("problems") or target.endswith((".yaml", ".yml")):
-        problem = load(target, checked=False, trusted=trusted)
+        problem = load(target, checked=False, trusted=arguments.trust)
+        problem = problem.using(transitions=arguments.transitions)
         return problem.trajectories, problem
     refuse_folder(target)
     if not (Path(target).exists() or target.startswith(MINARI) or target.endswith(".npz")):
         raise UnknownName(
             f"No data and no problem called {target!r}. {nearest(target, names('problems'))}"
         )
-    return read(target), None
+    data = read(target)
+    return (data if arguments.transitions is None else data.head(arguments.transitions)), None

@@ -15,6 +15,7 @@ from dropo.cli.support.output import (
     computing_options,
     printing_options,
     show_and_save,
+    transitions_option,
     trusting_option,
     whole,
 )
@@ -82,9 +83,7 @@ def add(commands: Any) -> None:
         metavar="N",
         help="control steps in a window; by default what the problem or its noise asks for",
     )
-    parser.add_argument(
-        "--transitions", type=whole(1), metavar="N", help="use the first N transitions alone"
-    )
+    transitions_option(parser)
     parser.add_argument(
         "--unchecked",
         action="store_true",

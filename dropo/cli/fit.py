@@ -14,6 +14,7 @@ from dropo.cli.support.output import (
     computing_options,
     printing_options,
     show_and_save,
+    transitions_option,
     trusting_option,
     whole,
 )
@@ -111,9 +112,7 @@ def add(commands: Any) -> None:
             " folder, or at values"
         ),
     )
-    parser.add_argument(
-        "--transitions", type=whole(1), metavar="N", help="use the first N transitions alone"
-    )
+    transitions_option(parser)
     parser.add_argument(
         "--simulator",
         metavar="NAME",

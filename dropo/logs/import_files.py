@@ -12,6 +12,7 @@ import numpy as np
 
 from dropo.core.services.errors import BadFile
 from dropo.core.services.files.atomic_write import atomic_write, write_json, write_npz, write_text
+from dropo.core.services.files.places import way_to
 from dropo.core.services.validation import Array
 from dropo.logs.problem_text import format_problem, held_out_runs, segment_steps
 from dropo.mjmodel.joints import ModelJoints
@@ -117,6 +118,8 @@ def write_import(
     out.parent.mkdir(parents=True, exist_ok=True)
     problem = _problem_text(found, out.name, model, robot, command, str(facts.get("robot", "")))
     record = found.to_json() | dict(facts) | {SUM: sum_of(problem.encode())}
+    for rows in record["runs"].values():
+        rows["log"] = way_to(rows["log"], out.parent)
     with ExitStack() as stack:
         names = (out.name, PROBLEM, RECORD, *files)
         parts = [stack.enter_context(atomic_write(out.parent / name)) for name in names]

@@ -6,7 +6,6 @@ data.npz of them.
 """
 
 import math
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 
 from dropo._version import __version__
 from dropo.core.services.errors import BadArgument
+from dropo.core.services.files.places import way_to
 from dropo.core.services.tables import Report, Table, number
 from dropo.core.services.validation import Array
 from dropo.data.checks.findings import Finding, errors_first
@@ -153,7 +153,7 @@ class Import(Report):
             "version": __version__,
             "frame_skip": self.frame_skip,
             "control_step_s": self.control_step,
-            "runs": self.rows,
+            "runs": {name: dict(rows) for name, rows in self.rows.items()},
             "trajectories": self.trajectories,
             "inputs": list(self.inputs),
             "delays": [asdict(delay) for delay in self.delays],
@@ -258,8 +258,8 @@ def import_logs(
     paths = [logs] if isinstance(logs, str | Path) else logs
     robot = load_model_joints(model)
     found = prepare(paths, read_mapping(mapping, robot), robot, progress, settings)
-    where = os.path.relpath(model, place.parent)
-    write_import(found, place, where, robot, "data import", {"model": str(model)})
+    where = way_to(model, place.parent)
+    write_import(found, place, where, robot, "data import", {"model": where})
     return found
 
 
@@ -466,12 +466,15 @@ def _gather(
 
 def _count_rows(logged: LogRun, run: LogRun, spans: Sequence[GridSpan]) -> dict[str, Any]:
     """What import.json says of the rows of a run, before and after it was prepared."""
-    kept = min((len(series.time) for series in run.series), default=0)
-    longest = max((len(stamps.time) for stamps in logged.stamps), default=0)
+    dropped = logged.without_stamp
+    for source in dict.fromkeys(series.channel.source for series in logged.series):
+        before = [len(one.time) for one in logged.series if one.channel.source == source]
+        after = [len(one.time) for one in run.series if one.channel.source == source]
+        dropped += max(before) - min(after)
     return {
         "log": str(run.path),
         "read": logged.rows,
-        "dropped": logged.without_stamp + longest - kept,
+        "dropped": dropped,
         "resampled": sum(len(span.at) for span in spans if span.resampled),
         "kept": sum(len(span.at) for span in spans),
         "trajectories": len(spans),

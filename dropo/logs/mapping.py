@@ -10,7 +10,7 @@ import numpy as np
 
 from dropo.core.services.errors import BadFile
 from dropo.core.services.files.file_content import FileContent, describe_options, describe_value
-from dropo.logs.units import UNITS, units_of
+from dropo.logs.units import known_unit, unit_named, units_of
 from dropo.mjmodel.joints import Joint, ModelJoints
 from dropo.mjmodel.sensors import Sensor
 
@@ -376,7 +376,7 @@ class _ChannelReader:
     def _make_source(self) -> Source:
         """Where the columns stand: as the log's others, unless the entry says otherwise."""
         entry = self.entry
-        own = entry.clock is not None
+        own = entry.clock is not None and not entry.clock.same
         clock = self.main.clock if entry.clock is None else _make_clock(entry.clock)
         return Source(entry.file or self.main.file, entry.topic or self.main.topic, clock, own)
 
@@ -409,7 +409,7 @@ class _ChannelReader:
             return self._pair_units(si, listed)
         if len(si) == 1:
             raise self._refusal("unit", ONE_UNIT_EACH, describe_value(given))
-        factors = {UNITS[unit][0]: UNITS[unit][1] for unit in reversed(listed)}
+        factors = dict(known_unit(unit) for unit in reversed(listed))
         return si, tuple(factors.get(unit, 1.0) for unit in si)
 
     def _check_units(
@@ -417,7 +417,8 @@ class _ChannelReader:
     ) -> None:
         """Refuse units of other kinds than `bases`; messages name those of the kinds `shown`."""
         for unit in listed:
-            if unit not in UNITS or UNITS[unit][0] not in bases:
+            found = unit_named(unit)
+            if found is None or found[0] not in bases:
                 expected = describe_options("a unit", unit, units_of(shown))
                 raise self._refusal("unit", expected, describe_value(unit))
 
@@ -425,10 +426,10 @@ class _ChannelReader:
         self, si: tuple[str, ...], listed: Sequence[str]
     ) -> tuple[tuple[str, ...], tuple[float, ...]]:
         """SI unit and factor of every column, each with a unit of its own."""
-        units = tuple(UNITS[unit][0] for unit in listed)
+        units = tuple(known_unit(unit)[0] for unit in listed)
         if len(si) > 1 and units != si:
             raise self._refusal("unit", ONE_UNIT_EACH, describe_value(self.entry.unit))
-        return units, tuple(UNITS[unit][1] for unit in listed)
+        return units, tuple(known_unit(unit)[1] for unit in listed)
 
     def _repeat(self, key: str, given: float | list[float], width: int) -> tuple[float, ...]:
         """A number for every column: one for all, or a list."""

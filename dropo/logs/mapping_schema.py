@@ -17,7 +17,7 @@ from dropo.core.services.files.file_schema import (
     Word,
     refuse,
 )
-from dropo.logs.units import UNITS
+from dropo.logs.units import TICKS, UNITS
 
 COLUMNS = "a list of columns, or a slice such as 'pose[0:7]'"
 UNIT = "a unit, or a list of one for each column"
@@ -33,7 +33,8 @@ def _check_sign(sign: float) -> float:
 
 Column = Annotated[Word, Expected("the name of a column")]
 Text = Annotated[Word, Expected("a text")]
-Unit = Annotated[str, WithJsonSchema({"enum": list(UNITS)})]
+_UNITS = [{"enum": list(UNITS)}, {"type": "string", "pattern": f"^{TICKS}$"}]
+Unit = Annotated[str, WithJsonSchema({"anyOf": _UNITS})]
 Sign = Annotated[Number, AfterValidator(_check_sign), WithJsonSchema({"enum": [1, -1]})]
 
 
@@ -44,6 +45,16 @@ class ClockEntry(Entry):
     """The column of the stamps; left out, the log's own clock, where its kind has one."""
     unit: Annotated[Literal["s", "ms", "us", "ns"], ExpectedName("a unit of time")] = "s"
     """The unit of the stamps."""
+
+
+class OtherClockEntry(ClockEntry):
+    """The time stamps of columns that do not stand beside the log's."""
+
+    same: Annotated[bool, Expected("true, where these are stamps of the log's clock, or false")] = (
+        False
+    )
+    """true: the log's own clock, in another column or unit; left out, another clock, whose delay
+    and skew are found."""
 
 
 class TimeEntry(ClockEntry):
@@ -75,11 +86,14 @@ class ChannelEntry(Entry):
     ] = 0.0
     """What is added, in the column's own unit: one number for all columns, or a list."""
     file: Text | None = None
-    """A file beside the log that holds the columns, such as '{stem}_imu.csv'."""
+    """A file beside the log that holds the columns, such as '{stem}_imu.csv' or
+    'commands_{number}.csv', with the last number of the log's name."""
     topic: Text | None = None
     """The topic of the log that holds the columns."""
-    clock: Annotated[ClockEntry, Expected("a mapping such as {column: t, unit: us}")] | None = None
-    """The clock of these columns, where it is another than the log's."""
+    clock: (
+        Annotated[OtherClockEntry, Expected("a mapping such as {column: t, unit: us}")] | None
+    ) = None
+    """The stamps of these columns, where they are others than the log's."""
 
 
 class SensorEntry(ChannelEntry):

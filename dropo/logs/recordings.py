@@ -17,9 +17,10 @@ from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import BadFile
 from dropo.core.services.files.file_content import describe_options, describe_value
 from dropo.core.services.validation import Array
+from dropo.logs.beside import file_beside, logs_alone
 from dropo.logs.mapping import Channel, Mapping, Source
 from dropo.logs.readers.reader import Arrays, Log, Progress, open_log, part_progress
-from dropo.logs.units import seconds
+from dropo.logs.units import SECONDS, seconds
 from dropo.mjmodel.sensors import turned_columns
 
 
@@ -187,7 +188,7 @@ def read_runs(
     Returns
     -------
     list of LogRun
-        In the order of the logs.
+        In the order of the logs; a file that the mapping looks for beside one of them is none.
 
     Raises
     ------
@@ -196,8 +197,10 @@ def read_runs(
         run fits the mapping.
     """
     runs: list[LogRun] = []
-    for i, path in enumerate(logs):
-        part = part_progress(progress, i, len(logs))
+    files = {channel.source.file for channel in mapping.channels} - {None}
+    alone = logs_alone(logs, map(str, files))
+    for i, path in enumerate(alone):
+        part = part_progress(progress, i, len(alone))
         runs += _read_log(open_log(path), mapping, part, settings)
     if not runs:
         raise mapping.refusal("run.only", "runs of the logs", "patterns that fit none")
@@ -245,7 +248,7 @@ def _read_table(
 ) -> _SourceTable:
     """Read the columns of one source."""
     if source.file is not None:
-        log = open_log(log.path.parent / source.file.replace("{stem}", log.path.stem))
+        log = open_log(file_beside(log.path, source.file))
     # every column must be there before any is read
     there = log.columns(source.topic)
     needed = []
@@ -324,6 +327,13 @@ class _Stamping:
     rate: float | None
     settings: LogReadingSettings
     origin: Any = None
+    unit: str = "s"
+
+    def origin_in(self, unit: str) -> Any:
+        """The origin in a unit of time; dates have none."""
+        if unit == self.unit or isinstance(self.origin, np.datetime64):
+            return self.origin
+        return self.origin * SECONDS[self.unit] / SECONDS[unit]
 
 
 def _make_run(log: Log, name: Any, tables: list[_SourceTable], stamping: _Stamping) -> LogRun:
@@ -395,5 +405,6 @@ def _seconds(table: _SourceTable, rows: Ints, stamping: _Stamping) -> Array:
     if dates or abs(float(seconds(np.asarray([first]), unit)[0])) > far:
         if stamping.origin is None and not table.source.own_clock:
             stamping.origin = first
-        origin = first if table.source.own_clock else stamping.origin
+            stamping.unit = unit
+        origin = first if table.source.own_clock else stamping.origin_in(unit)
     return np.where(missing, np.nan, seconds(stamps, unit, origin))

@@ -4,7 +4,6 @@ In reading order: `init` finds the robot, guesses the mapping (`guessing/`), giv
 where it has none (`_make_model`), imports the logs, and writes everything at once.
 """
 
-import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,10 +14,12 @@ import mujoco
 import numpy as np
 
 from dropo.core.services.errors import BadArgument, BadFile
+from dropo.core.services.files.places import way_to
 from dropo.core.services.files.strict_yaml import format_yaml, read_yaml
 from dropo.core.services.tables import Report, Table, number
 from dropo.core.services.validation import Array
 from dropo.data.checks.sensors import unit_of
+from dropo.logs.guessing.files_beside import own_recordings
 from dropo.logs.guessing.guess import Ask, guess_mapping
 from dropo.logs.guessing.guessed import NAMED, Guess
 from dropo.logs.guessing.servos import estimate_drives
@@ -169,6 +170,7 @@ def init(
     called = folder / MAP if mapping is None else Path(mapping)
     spec, lost = load_spec(found)
     joints = model_joints(load_model(spec))
+    paths = own_recordings(paths)
     guess = guess_mapping(open_log(paths[0]), joints, given, ask)
     if guess.undecided:
         raise BadArgument(_describe_undecided(guess))
@@ -188,11 +190,12 @@ def init(
     imported = prepare(paths, checked, joints, progress, settings)
     files = {MAP: MAP_HEAD + format_yaml(content)}
     sums = {MAP_SUM: sum_of(files[MAP].encode())}
-    model = os.path.relpath(found.path, folder)
+    origin = way_to(found.path, folder)
+    model = origin
     if text is not None:
         files[MODEL] = text
         model = MODEL
-    facts = {"robot": found.name, "model": str(found.path), "guesses": lines, **sums}
+    facts = {"robot": found.name, "model": origin, "guesses": lines, **sums}
     write_import(imported, folder / DATA, model, joints, "init", facts, files)
     command = f"dropo diagnose {folder / PROBLEM}"
     return InitResult(folder, found.name, tuple(lines), content, imported, command)

@@ -1,6 +1,7 @@
 """Units that a mapping file may name, as factors on SI units."""
 
 import math
+import re
 from typing import Any
 
 import numpy as np
@@ -9,8 +10,8 @@ from numpy.typing import NDArray
 from dropo.core.services.validation import Array
 from dropo.mjmodel.sensors import G
 
-TURNS = tuple(2**bits for bits in range(8, 21))
-"""Counts of encoders in a turn."""
+TICKS = r"tick/(\d+(?:\.\d+)?)(/s)?"
+"""Counts of an encoder of so many a turn, such as "tick/4096", and their speed "tick/4096/s"."""
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 """Units of time."""
 
@@ -19,7 +20,7 @@ _BY_SI: dict[str, dict[str, float]] = {
         "rad": 1.0,
         "deg": math.pi / 180,
         "rev": 2 * math.pi,
-        **{f"tick/{turn}": 2 * math.pi / turn for turn in TURNS},
+        "tick/4096": 2 * math.pi / 4096,
     },
     "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
     "rad/s": {"rad/s": 1.0, "deg/s": math.pi / 180, "rpm": math.pi / 30, "rev/s": 2 * math.pi},
@@ -36,7 +37,55 @@ _BY_SI: dict[str, dict[str, float]] = {
 UNITS: dict[str, tuple[str, float]] = {
     name: (si, factor) for si, names in _BY_SI.items() for name, factor in names.items()
 }
-"""For each unit its SI unit, and the factor to it."""
+"""For each unit its SI unit, and the factor to it; of ticks one for all."""
+
+
+def unit_named(name: str) -> tuple[str, float] | None:
+    """Find a unit by its name.
+
+    Parameters
+    ----------
+    name : str
+        One of `UNITS`, or counts of an encoder by `TICKS`.
+
+    Returns
+    -------
+    si : str
+        The SI unit.
+    factor : float
+        The factor to it; None where there is no such unit.
+    """
+    ticks = re.fullmatch(TICKS, name)
+    if ticks is None:
+        return UNITS.get(name)
+    turn = float(ticks[1])
+    return ("rad/s" if ticks[2] else "rad", 2 * math.pi / turn) if turn >= 1 else None
+
+
+def known_unit(name: str) -> tuple[str, float]:
+    """Find a unit that is known to exist.
+
+    Parameters
+    ----------
+    name : str
+        As of `unit_named`.
+
+    Returns
+    -------
+    si : str
+        The SI unit.
+    factor : float
+        The factor to it.
+
+    Raises
+    ------
+    KeyError
+        If there is no such unit.
+    """
+    found = unit_named(name)
+    if found is None:
+        raise KeyError(name)
+    return found
 
 
 def units_of(si: tuple[str, ...]) -> list[str]:

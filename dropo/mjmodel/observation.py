@@ -11,6 +11,7 @@ from dropo.core.records.trajectories import Signal
 from dropo.core.services.errors import BadArgument
 from dropo.core.services.validation import Array
 from dropo.mjmodel.fields import item_columns
+from dropo.mjmodel.followers import Follower, followers_of
 from dropo.mjmodel.joints import all_joints
 from dropo.mjmodel.names import element_names
 from dropo.mjmodel.sensors import named_sensors
@@ -84,6 +85,7 @@ class Layout:
         plain = [i for i in range(len(self.columns)) if i not in in_quaternion]
         self._plain = np.array(plain, dtype=int)
         self._start = {field: self._places(field) for field in STATE}
+        self._followers = self._unobserved_followers(model)
 
     def __len__(self) -> int:
         return len(self.columns)
@@ -196,10 +198,22 @@ class Layout:
                 out[..., i] = states[..., first[column.field] + column.place]
         return out
 
+    def _unobserved_followers(self, model: mujoco.MjModel) -> list[Follower]:
+        """The joints that no column holds, and that follow one whose position is observed."""
+        seen = self.observed("qpos")
+        own = {place for one in followers_of(model) for place in one.places if place not in seen}
+        found = {}
+        for one in followers_of(model):
+            if one.places[0] in own and one.places[1] in seen:
+                found.setdefault(one.places[0], one)
+        return list(found.values())
+
     def write_start(
         self, states: Array, rows: Array, chosen: NDArray[np.bool_], model: mujoco.MjModel
     ) -> None:
         """Write columns of observation rows into full physics states.
+
+        Joints that are not observed and follow one that is written are where that one has them.
 
         Parameters
         ----------
@@ -216,6 +230,14 @@ class Layout:
         for field, (columns, places) in self._start.items():
             take = chosen[columns]
             states[:, first[field] + places[take]] = rows[:, columns[take]]
+        columns, places = self._start["qpos"]
+        written = set(places[chosen[columns]].tolist())
+        for one in self._followers:
+            if one.places[1] in written:
+                own, other = (first["qpos"] + place for place in one.places)
+                speed, leading = (first["qvel"] + dof for dof in one.dofs)
+                states[:, own] = one.position(states[:, other])
+                states[:, speed] = one.slope(states[:, other]) * states[:, leading]
 
     def full_states(self, rows: Array, model: mujoco.MjModel) -> Array:
         """Make physics states of observation rows.
@@ -287,7 +309,7 @@ class Layout:
         return out
 
     def missing_state(self, model: mujoco.MjModel) -> list[ObservedColumn]:
-        """Find what of qpos, qvel and act no column holds.
+        """Find what of qpos, qvel and act no column holds, and no joint that is observed gives.
 
         Parameters
         ----------
@@ -299,6 +321,8 @@ class Layout:
         list of ObservedColumn
         """
         held = set(self.columns)
+        for one in self._followers:
+            held |= {ObservedColumn("qpos", one.places[0]), ObservedColumn("qvel", one.dofs[0])}
         sizes = {"qpos": model.nq, "qvel": model.nv, "act": model.na}
         every = [ObservedColumn(field, i) for field in STATE for i in range(sizes[field])]
         return [column for column in every if column not in held]

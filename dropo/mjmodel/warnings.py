@@ -1,5 +1,10 @@
-"""MuJoCo without its log file."""
+"""MuJoCo without its log file.
 
+With `dropo.mjmodel` imported, what MuJoCo says goes to Python's logging, not into MUJOCO_LOG.TXT in
+the working directory, unless someone else listens.
+"""
+
+import logging
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -7,6 +12,8 @@ from typing import Any
 
 import mujoco
 
+LOGGER = logging.getLogger("dropo.mujoco")
+"""What MuJoCo says outside of `suppress_mujoco_warnings`, at the level of debugging."""
 _LOCK = threading.Lock()
 # the handlers that were set when each context now open began; the first is the user's own
 _handlers: list[Any] = []
@@ -14,7 +21,7 @@ _handlers: list[Any] = []
 
 @contextmanager
 def suppress_mujoco_warnings() -> Iterator[list[str]]:
-    """Keep MuJoCo from writing MUJOCO_LOG.TXT into the working directory.
+    """Listen to MuJoCo, in place of whoever else listens.
 
     Failures are found in the states, or in what MuJoCo said. The handler belongs to the whole
     process: of overlapping contexts on several threads, the last to end puts the user's own back.
@@ -33,3 +40,10 @@ def suppress_mujoco_warnings() -> Iterator[list[str]]:
     finally:
         with _LOCK:
             mujoco.set_mju_user_warning(_handlers.pop())
+
+
+def leave_no_log_file() -> None:
+    """Send MuJoCo's warnings to Python's logging, where no one listens to them yet."""
+    with _LOCK:
+        if mujoco.get_mju_user_warning() is None:
+            mujoco.set_mju_user_warning(LOGGER.debug)

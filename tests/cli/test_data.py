@@ -24,6 +24,21 @@ def test_describe_a_problem(problem: Path, capsys: pytest.CaptureFixture[str]) -
     assert list(found["signals"]) == ["observation[0]", "observation[1]", "action[0]"]
 
 
+@pytest.mark.parametrize("target", ["problem.yaml", "data.npz"])
+def test_the_first_transitions(
+    problem: Path, capsys: pytest.CaptureFixture[str], target: str
+) -> None:
+    """`--transitions` takes so many of a problem or of data; raw logs have none."""
+    place = str(problem.parent / target)
+    assert main(["data", "describe", place, "--transitions", "25"]) == 0
+    assert capsys.readouterr().out.startswith("25 transitions in 2 trajectories of 5 to 20")
+    assert main(["data", "check", place, "--transitions", "25", "--json"]) == 0
+    raw = ["data", "check", place, "--map", "m.yaml", "--model", "r.xml", "--transitions", "25"]
+    capsys.readouterr()
+    assert main(raw) == 2
+    assert "--transitions is of problems and data; raw logs have rows." in capsys.readouterr().err
+
+
 def test_check(problem: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Noise on the next observations is information: status 0."""
     assert main(["data", "check", str(problem)]) == 0

@@ -5,10 +5,11 @@ import json
 from dropo.cli.main import main
 
 
-def test_a_fit_then_its_report(problem, tmp_path, capsys):
+def test_a_fit_then_its_report(problem, tmp_path, capsys, monkeypatch):
     """The page lies in the folder unless said otherwise; its path is printed; --json and --quiet;
-    data and model are not needed.
+    data and model are not needed. The command has no absolute path.
     """
+    monkeypatch.chdir(tmp_path)
     out = tmp_path / "run"
     assert main(["fit", str(problem), "--out", str(out), "--quiet"]) == 0
     for name in ("data.npz", "robot.xml", "problem.yaml"):
@@ -17,7 +18,10 @@ def test_a_fit_then_its_report(problem, tmp_path, capsys):
     printed = capsys.readouterr()
     assert (printed.out, printed.err) == (f"{out / 'report.html'}\n", "")
     text = (out / "report.html").read_text()
-    assert f"dropo fit {problem} --out {out}" in text
+    way = problem.relative_to(tmp_path)
+    assert f"dropo fit {way} --out run" in text
+    for path in out.iterdir():
+        assert str(tmp_path).encode() not in path.read_bytes()
     assert "damping" in text
     elsewhere = tmp_path / "new" / "page.html"
     assert main(["report", str(out), "--out", str(elsewhere), "--json"]) == 0

@@ -110,7 +110,9 @@ def test_aliases_that_say_little_are_read(folder: Path) -> None:
         ('mass="2"', 'mass="nan"', "robot.xml: line 6: expected a number, got nan"),
         ('damping="0.5"', 'damping="NaN"', "robot.xml: line 5: expected a number, got NaN"),
         ('"0.01"', '"nan"', "robot.xml: line 3: expected a number, got nan"),
-        ('"0.01"', '"0"', "robot.xml: timestep: expected a number above 0, got 0"),
+        ('"0.01"', '"0"', "robot.xml: timestep: expected 1e-09 to 1000 s, got 0"),
+        ('"0.01"', '"1e308"', "robot.xml: timestep: expected 1e-09 to 1000 s, got 1e+308"),
+        ('"0.01"', '"1e-300"', "robot.xml: timestep: expected 1e-09 to 1000 s, got 1e-300"),
         ('"0.01"', '"0.01" gravity="0 0 -nan"', "robot.xml: line 3: expected a number, got -nan"),
     ],
 )

@@ -128,6 +128,7 @@ def test_overlapping_silences_end_with_the_users_handler():
     """The second to begin outlasts the first: MuJoCo warns through the user's handler again, and
     not before.
     """
+    before = mujoco.get_mju_user_warning()
     own = lambda message: None
     mujoco.set_mju_user_warning(own)
     try:
@@ -140,7 +141,7 @@ def test_overlapping_silences_end_with_the_users_handler():
         second.__exit__(None, None, None)
         assert mujoco.get_mju_user_warning() is own
     finally:
-        mujoco.set_mju_user_warning(None)
+        mujoco.set_mju_user_warning(before)
 
 
 def test_kept_constants_do_not_depend_on_what_ran_before():

@@ -325,6 +325,19 @@ def computing_options(
     )
 
 
+def transitions_option(parser: argparse.ArgumentParser) -> None:
+    """Add --transitions to a parser; every command that takes a problem's data has it.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+        The command's parser.
+    """
+    parser.add_argument(
+        "--transitions", type=whole(1), metavar="N", help="use the first N transitions alone"
+    )
+
+
 def executor_option(parser: argparse.ArgumentParser, what: str) -> None:
     """Add --executor to a parser.
 

@@ -4,8 +4,8 @@ The number of threads is not in it, since results do not depend on it.
 """
 
 import argparse
-import os
 import platform
+import shlex
 from dataclasses import fields
 from importlib.metadata import version
 from pathlib import Path
@@ -16,6 +16,7 @@ from dropo.core.contracts.estimator import Estimator
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.predictions import Predictions
 from dropo.core.services.files.atomic_write import write_json
+from dropo.core.services.files.places import way_to, without_root
 from dropo.problems.record import plain, problem_record
 
 
@@ -84,7 +85,8 @@ def keep_for_report(arguments: argparse.Namespace, predictions: Predictions | No
     Parameters
     ----------
     arguments : argparse.Namespace
-        With `out`, the folder, and the command, which made.json keeps with the versions behind it.
+        With `out`, the folder, and the command, which made.json keeps with the versions behind it;
+        absolute paths by their way from the working folder.
     predictions : Predictions or None
         What the model predicts; None where the result keeps it.
     """
@@ -97,13 +99,8 @@ def keep_for_report(arguments: argparse.Namespace, predictions: Predictions | No
         "on": platform.platform(),
     }
     made = {
-        "command": arguments.command_line,
-        "problem": _place(path, arguments.out) if path.is_file() else arguments.problem,
+        "command": shlex.join(map(without_root, shlex.split(arguments.command_line))),
+        "problem": way_to(path, arguments.out) if path.is_file() else arguments.problem,
         "versions": versions,
     }
     write_json(arguments.out / "made.json", made)
-
-
-def _place(path: Path, folder: Path) -> str:
-    """The way to a file from a folder, which may move with it."""
-    return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()

@@ -165,6 +165,7 @@ BUILT_IN: dict[str, dict[str, str]] = {
         "figure-6.3": "dropo.studies.tiboni_2021.figure_6_3:figure_6_3",
         "figure-6.4": "dropo.studies.tiboni_2021.figure_6_4:figure_6_4",
         "calibration": "dropo.studies.intervals.calibration:calibration",
+        "controls": "dropo.studies.intervals.controls:controls",
         "crazypad": "dropo.studies.crazypad.study:crazypad_study",
         "coverage": "dropo.studies.intervals.coverage:coverage",
         "first-models": "dropo.studies.first_models.study:first_models",

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
@@ -44,6 +45,11 @@ class KinematicsSettings:
         A velocity that is too large or too small by this factor is a warning.
     window : float
         Length of the windows over which displacements are summed [s].
+    frozen : int
+        Windows in a row in which a velocity that keeps its value has stopped to be written, where
+        the position moves otherwise.
+    frozen_share : float
+        Share of such windows from which on that is an error.
     fall_window : float
         Length of the windows over which an acceleration is taken [s].
     fall_tolerance : float
@@ -60,6 +66,8 @@ class KinematicsSettings:
     wrong_factor: float = 2.0
     odd_factor: float = 1.15
     window: float = 0.1
+    frozen: int = 5
+    frozen_share: float = 0.05
     fall_window: float = 0.03
     fall_tolerance: float = 0.2
     fall_fraction: float = 0.02
@@ -112,12 +120,16 @@ class Displacements:
 
 @dataclass(frozen=True, eq=False)
 class _Windows:
-    """Displacements (m,) and integrals (m,) summed over windows, and where each begins."""
+    """Displacements (m,) and integrals (m,) summed over windows, and where each begins.
+
+    kept: whether the velocity keeps its value in the window, and since the one before.
+    """
 
     source: Displacements
     displacement: Array
     integral: Array
     first: Ints
+    kept: NDArray[np.bool_]
 
 
 def check_motions(
@@ -159,6 +171,20 @@ def _compare(
             moving.append(windows)
     if not moving:
         return []
+    frozen = [_frozen(windows, settings) for windows in moving]
+    share = float(np.mean(np.concatenate(frozen)))
+    if share > settings.frozen_share:
+        i = int(np.argmax([one.sum() for one in frozen]))
+        first = int(moving[i].first[np.argmax(frozen[i])])
+        source = moving[i].source
+        row = int(source.rows[first])
+        time = float(source.time[first])
+        text = (
+            f"it stands at {source.integral[first] / source.step:.4g} while {source.name} moves, "
+            f"in {share:.0%} of the log, from row {row} at {time:.6g} s on."
+        )
+        advice = "Leave it out of the mapping: it is then smoothed from the positions."
+        return [Finding("error", source.velocity, text, advice, source.run, row, time)]
     y = np.concatenate([windows.displacement for windows in moving])
     x = np.concatenate([windows.integral for windows in moving])
     if not (x**2).any():
@@ -225,7 +251,21 @@ def _sum_over_windows(motion: Displacements, seconds: float) -> _Windows:
     first = np.concatenate(starts)
     displacement = _window_sums(motion.displacement, first, width)
     integral = _window_sums(motion.integral, first, width)
-    return _Windows(motion, displacement, integral, first)
+    within = motion.integral[first[:, None] + np.arange(width)]
+    kept = np.ptp(within, axis=1) <= 1e-3 * np.abs(within).max(axis=1) if width > 2 else first < 0
+    again = np.abs(np.diff(integral)) <= 1e-3 * np.abs(integral[1:])
+    kept[1:] &= again & (np.diff(first) == width)
+    return _Windows(motion, displacement, integral, first, kept)
+
+
+def _frozen(windows: _Windows, settings: KinematicsSettings) -> NDArray[np.bool_]:
+    """(m,) in which windows the velocity stands still while the position moves otherwise."""
+    ends = np.flatnonzero(np.diff(np.concatenate([[0], windows.kept.astype(int), [0]])))
+    long = np.zeros(len(windows.kept), dtype=bool)
+    for start, stop in zip(ends[::2].tolist(), ends[1::2].tolist(), strict=True):
+        long[start:stop] = stop - start >= settings.frozen
+    apart = np.abs(windows.displacement - windows.integral)
+    return np.asarray(long & (apart > 0.5 * _rms(windows.displacement)))
 
 
 def _window_sums(values: Array, first: Ints, width: int) -> Array:

@@ -15,7 +15,7 @@ from dropo.diagnosis.regression.fit import (
     bounded,
     root_mean_square,
 )
-from dropo.diagnosis.regression.terms import INERTIAL, LAWS, OWN_GAIN, families_of
+from dropo.diagnosis.regression.terms import INERTIA, INERTIAL, LAWS, OWN_GAIN, families_of
 from dropo.diagnosis.search.confirmation import signed_rank_score
 
 Group = tuple[int, ...]
@@ -43,6 +43,8 @@ class ChoiceSettings:
         Smallest square of a term's size, in squares of its standard error, with which it is kept.
     payload : float
         Fraction by which a payload must lower the spread of what is left at the joints.
+    heavier : float
+        Fraction by which a body is heavier than its model from which that is rather a payload.
     passes : int
         Number of times that weights, delay and payload are found in turn before anything is
         dropped.
@@ -57,6 +59,7 @@ class ChoiceSettings:
     apart: float = 0.02
     wald: float = 16.0
     payload: float = 0.02
+    heavier: float = 0.5
     passes: int = 4
     rounds: int = 40
 
@@ -92,10 +95,14 @@ class Chooser:
         Fits their sizes.
     settings : ChoiceSettings
         When a group is accepted.
+    rival : Solution or None
+        Other inertial numbers of one body that explain as much as a payload and gains, in as few
+        things; these are chosen all the same, since the body would be far heavier than its model.
     """
 
     fitter: Fitter
     settings: ChoiceSettings = field(default_factory=ChoiceSettings)
+    rival: Solution | None = field(default=None, init=False)
 
     def run(self) -> Solution:
         """Choose the terms that are missing, and fit them.
@@ -111,6 +118,20 @@ class Chooser:
         """
         families = families_of(self.fitter.terms)
         own = families.pop(OWN_GAIN, ())
+        families.pop(INERTIA, ())
+        found = self._by_gains(families, own)
+        if not self._beside_laws(found):
+            return found
+        body = self._of_one_body(families, [i for i in found.terms if i in own])
+        if body is None or not self._is_simpler(found, body):
+            return found
+        if self._is_payload(body):
+            self.rival = body
+            return found
+        return body
+
+    def _by_gains(self, families: dict[str, Group], own: Group) -> Solution:
+        """What is chosen where all drives share a gain, or each has its own if that is better."""
         # Where each drive has a gain of its own, one of all drives says nothing new.
         common = self.fitter.equation.driven.any() and "gain" not in families
         shared = self._chosen_of(families, [(GAIN,)] if common else [])
@@ -122,7 +143,67 @@ class Chooser:
     def _chosen_of(self, families: dict[str, Group], gains: list[Group]) -> Solution:
         """What is chosen of families where the drives' gains may be wrong together or apart."""
         groups = [families[name] for name in LAWS if name in families] + gains
-        solution = self._first(tuple(i for group in groups for i in group))
+        first = self._first(tuple(i for group in groups for i in group))
+        return self._selected(first, families, groups)
+
+    def _of_one_body(self, families: dict[str, Group], weak: Iterable[int]) -> Solution | None:
+        """What is chosen where the mass, its centre and the inertia of one body may be wrong.
+
+        The other masses are right then, and there is no payload. weak: gains of single drives that
+        may be wrong beside it.
+        """
+        fitter = self.fitter
+        groups = [families[name] for name in LAWS if name in families] + [(i,) for i in weak]
+        begun = self._begun(tuple(i for group in groups for i in group))
+        bodies: dict[str | None, Group] = {}
+        for i, term in enumerate(fitter.terms):
+            if term.family in INERTIAL:
+                bodies[term.target] = (*bodies.get(term.target, ()), i)
+        loaded = [
+            fitter.refined(replace(begun, chosen=(*begun.chosen, *own))) for own in bodies.values()
+        ]
+        if not loaded:
+            return None
+        return self._selected(min(loaded, key=fitter.badness), families, groups)
+
+    def _candidates_in(self, solution: Solution) -> int:
+        """How many things are missing: a law, a payload and a body's inertial numbers are one."""
+        terms = self.fitter.terms
+        shares = self.term_forces(solution)
+        laws = [i for i in solution.terms if terms[i].family in LAWS]
+        large = {terms[i].family for i in laws if shares[i] > self.settings.apart}
+        bodies = {terms[i].target for i in solution.terms if terms[i].family in INERTIAL}
+        return len(large) + len(bodies) + self._beside_laws(solution)
+
+    def _beside_laws(self, solution: Solution) -> int:
+        """How many gains, payloads, springs and the like are missing, without laws and bodies."""
+        terms = [self.fitter.terms[i] for i in solution.terms]
+        found = {term.label for term in terms if term.family not in (*LAWS, *INERTIAL)}
+        wrong = GAIN in solution.chosen and abs(solution.gain) > self.settings.apart
+        if wrong:
+            variance = float(self.fitter.covariance(solution)[0, 0])
+            wrong = (solution.beta - 1) ** 2 > self.settings.wald * variance
+        return len(found) + int(wrong) + int(solution.payload is not None)
+
+    def _is_payload(self, solution: Solution) -> bool:
+        """Whether a body is so much heavier than its model that it rather carries something."""
+        return any(
+            solution.sizes[i] > self.settings.heavier * (self.fitter.terms[i].model or 0.0)
+            for i in solution.terms
+            if self.fitter.terms[i].family == "mass"
+        )
+
+    def _is_simpler(self, found: Solution, body: Solution) -> bool:
+        """Whether a body's inertial numbers explain as much in fewer things, or more in as many."""
+        fewer = self._candidates_in(found) - self._candidates_in(body)
+        if fewer > 0:
+            return not self._is_large(body, found.spread)
+        return fewer == 0 and self._is_large(found, body.spread)
+
+    def _selected(
+        self, solution: Solution, families: dict[str, Group], groups: list[Group]
+    ) -> Solution:
+        """The solution without groups that are needless, with what else data held out ask for."""
         solution = self.without_needless(solution, groups)
         solution = self.with_more(solution, self._candidates(families))
         singles = [(i,) for i in solution.chosen if i not in self.of_laws(solution)]
@@ -136,9 +217,7 @@ class Chooser:
         """
         own = [i for i in apart.terms if self.fitter.terms[i].family == OWN_GAIN]
         weak = int(np.count_nonzero(np.abs(apart.sizes[own]) > self.settings.apart))
-        drives = [term for term in self.fitter.terms if term.family == OWN_GAIN]
-        # Where most drives seem weak, it is the scale of the masses that is wrong.
-        if weak == 0 or 2 * weak > len(drives):
+        if weak == 0:
             return False
         alike = replace(apart, weights=shared.weights)
         without = self.held_out(shared, self.tables(shared))
@@ -148,7 +227,7 @@ class Chooser:
         return certain and self._is_large(shared, apart.spread)
 
     def _is_large(self, shared: Solution, spread: Array | float) -> bool:
-        """Whether a spread, (nv,) or 0, is less than that of common gains by a large force."""
+        """Whether a spread, (nv,) or 0, is less than that of a solution by a large force."""
         forces = root_mean_square(self.fitter.forces(shared.delay))
         explained = np.where(forces > 0, shared.spread, 0.0) ** 2 - np.square(spread)
         return bool(np.any(explained > (self.settings.apart * forces) ** 2))

@@ -200,7 +200,10 @@ def refuse_unsuitable(simulator: RobotSimulator) -> None:
             "all forces and masses could be larger by one factor."
         )
     if model.neq:
-        raise Incompatible("A regression over inverse dynamics knows no equality constraints.")
+        raise Incompatible(
+            "A regression over inverse dynamics knows no equality constraints, whose forces are "
+            "not known: diagnose without --quick, by simulations, which know them."
+        )
     observed = simulator.layout.observed("qpos")
     for joint in all_joints(model):
         if not observed.issuperset(range(joint.qpos, joint.qpos + len(joint.units("qpos")))):
@@ -252,7 +255,7 @@ def equation_of(
     Raises
     ------
     Incompatible
-        If the robot is not suitable (`refuse_unsuitable`).
+        If the robot is not suitable (`refuse_unsuitable`), or every command is 0.
     BadArgument
         If no trajectory is long enough, or nothing moves.
     """
@@ -290,7 +293,23 @@ def equation_of(
         joined[name] = np.concatenate([part[name] for part in parts], axis=axis)
     driven = np.zeros(simulator.model.nv, dtype=bool)
     driven[_drives_at_rest(simulator).dofs] = True
+    _refuse_nothing(joined["drives"], joined["used"], driven)
     return Equation(**joined, delays=delays, driven=driven, width=width)
+
+
+def _refuse_nothing(drives: Array, used: NDArray[np.bool_], driven: NDArray[np.bool_]) -> None:
+    """Refuse rows (D, R, nv) and (R, nv) in which no drive acts, or none that counts."""
+    if not used.any():
+        raise BadArgument(
+            "No row of the log counts for a regression over inverse dynamics: in all of them "
+            "joints rest, are beyond their ranges, or something touches. Check the units of "
+            "the positions and the ranges of the model's joints."
+        )
+    if not drives[:, :, driven].any():
+        raise Incompatible(
+            "A regression over inverse dynamics needs drives that act: every command is 0, as of "
+            "motors that are off. Where they were not, the log's commands are missing."
+        )
 
 
 def model_of(simulator: RobotSimulator) -> Model:

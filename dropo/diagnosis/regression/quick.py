@@ -157,7 +157,7 @@ class QuickDiagnose:
         if unknown:
             warnings.append(
                 f"The data do not tell {', '.join(unknown)}, whose force is large: the error is "
-                "several times the number."
+                "larger than the number."
             )
         try:
             equation = equation_of(
@@ -202,7 +202,10 @@ class QuickDiagnose:
                     held_out_gain_se=error,
                     rmse_before=estimate.left_without(number.index),
                     rmse_after=estimate.left,
-                    confused_with=estimate.alternatives(number.index, self.settings.similarity),
+                    confused_with=(
+                        *estimate.rivals(number.effect),
+                        *estimate.alternatives(number.index, self.settings.similarity),
+                    ),
                 )
             )
         found.sort(key=lambda cause: -cause.held_out_gain)
@@ -275,7 +278,7 @@ class FoundNumber:
     named : bool
         Whether it is certain and large enough to be a cause.
     unknown : bool
-        Whether its force is large, but its error is several times the number.
+        Whether its force is large, but its error is larger than the number.
     """
 
     index: int | str
@@ -360,7 +363,7 @@ class Missing:
             index: int | str, place: tuple[str, str | None, str], least: float, **sizes: Estimate
         ) -> None:
             first = next(iter(sizes.values()))
-            known = certain * abs(first.value) > first.se
+            known = abs(first.value) > first.se
             asked = least == -np.inf
             named = (asked and known) or abs(first.value) > max(least, certain * first.se)
             unknown = asked and not known
@@ -609,6 +612,27 @@ class Missing:
                 place = (term.effect, term.target, term.variant)
             found.append(Alternative(*place, why=f"similarity {cosines[i]:.3f}"))
         return tuple(found)
+
+    def rivals(self, effect: str) -> tuple[Alternative, ...]:
+        """Name the body whose inertial numbers explain as much as a payload and gains together.
+
+        Parameters
+        ----------
+        effect : str
+            What was found.
+
+        Returns
+        -------
+        tuple of Alternative
+            None where it is neither a payload nor a gain, or nothing explains as much.
+        """
+        rival = self.chooser.rival
+        if rival is None or effect not in ("payload", "actuator_gain"):
+            return ()
+        terms = [self.fitter.terms[i] for i in rival.terms]
+        heavier = next(term for term in terms if term.family == "mass")
+        why = "payload and gains together act like a heavier body, with its centre and inertia"
+        return (Alternative(heavier.effect, heavier.target, heavier.variant, why=why),)
 
 
 def estimate_missing(

@@ -8,7 +8,7 @@ import numpy as np
 from dropo.core.contracts.effect import Model
 from dropo.core.services.validation import Array
 from dropo.diagnosis.regression.equation import Equation, model_of
-from dropo.mjmodel.bodies import body_masses, mass_centre, moving_bodies
+from dropo.mjmodel.bodies import body_masses, inertia_matrix, mass_centre, moving_bodies
 from dropo.mjmodel.dynamics.body_regressors import point_mass
 from dropo.mjmodel.dynamics.drives import feedback_at
 from dropo.mjmodel.joints import Joint, actuators, joints, numbers_of
@@ -63,8 +63,10 @@ LAWS = ("armature", "damping", "friction")
 """Families that every joint of a machine has: they are tried first, at all joints together."""
 OWN_GAIN = "own gain"
 """The family of the drives' own gains beside the gain that all of them share."""
-INERTIAL = ("mass", "com")
-"""Families of terms whose scale is that of the masses."""
+INERTIA = "inertia"
+"""The family of the bodies' rotational inertias: beside rotors no motion tells most of them."""
+INERTIAL = ("mass", "com", INERTIA)
+"""Families of terms whose scale is that of the masses; those of one body are one candidate."""
 
 
 def terms_of(simulator: RobotSimulator, equation: Equation) -> list[Term]:
@@ -270,7 +272,13 @@ def _body_terms(model: Model, body: int, name: str, by_inertia: Array) -> list[T
                 column,
             )
         )
-    return found
+    turning = inertia_matrix(model, body)
+    moments = [turning[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
+    column = by_inertia @ np.array([0.0, 0.0, 0.0, 0.0, *moments])
+    return [
+        *found,
+        Term("body_inertia", name, "", "inertia", "1", -1.0, 1.0, 0.0, INERTIA, column),
+    ]
 
 
 def point_mass_slope(place: Array, axis: Array) -> Array:

@@ -6,12 +6,14 @@ from pathlib import Path
 from dropo.data.checks.findings import Finding, errors_first
 from dropo.logs.guessing.base import moving_base
 from dropo.logs.guessing.sensors import SensorColumns, find_sensor_columns, match_sensors
+from dropo.logs.guessing.servos import CommandSize, command_sizes
 from dropo.logs.guessing.words import read_names
 from dropo.logs.log_checks import DEFAULTS, LogCheckSettings, check_runs
 from dropo.logs.mapping import Mapping
 from dropo.logs.readers.reader import Log, open_log
 from dropo.logs.recordings import LogRun
 from dropo.logs.sensor_pairs import sensor_findings
+from dropo.mjmodel.dynamics.drives import command_kind
 from dropo.mjmodel.joints import ModelJoints
 
 _ELEMENTS = {
@@ -53,6 +55,9 @@ def check_logs(
     if not any(finding.level == "error" for finding in found):
         found += sensor_findings(runs, robot)
     found += _check_joints(mapping, robot)
+    found += _check_commands(mapping, robot)
+    if not any(finding.level == "error" for finding in found):
+        found += _say_sizes(runs, robot)
     if logs:
         found += _check_unused_sensors(open_log(logs[0]), mapping, robot)
     for path in logs:
@@ -62,6 +67,52 @@ def check_logs(
             found.append(moves)
             break  # one line for all logs
     return errors_first(found)
+
+
+def _check_commands(mapping: Mapping, robot: ModelJoints) -> Iterator[Finding]:
+    """Commands of forces, volts or amperes for servos, which take positions or speeds."""
+    for channel in mapping.channels:
+        if channel.field != "ctrl" or channel.units[0] not in ("N m", "N", "V", "A"):
+            continue
+        kind = command_kind(robot.model, robot.actuators[channel.name].id)
+        if kind == "torque":
+            continue
+        unit = channel.units[0]
+        text = f"its commands are in {unit}, and the model's actuator takes a {kind}."
+        advice = "Map the commanded positions or speeds, or give the model a `<motor>` there."
+        yield Finding("error", channel.label, text, advice)
+
+
+def _say_sizes(runs: Sequence[LogRun], robot: ModelJoints) -> Iterator[Finding]:
+    """What commands do that are no forces, where the model's motors take forces."""
+    if not any(one.channel.field == "ctrl" for run in runs for one in run.series):
+        return
+    by_unit: dict[str, list[CommandSize]] = {}
+    for size in command_sizes(runs, robot):
+        by_unit.setdefault(size.unit, []).append(size)
+    for unit, sizes in by_unit.items():
+        if not unit and all(0.1 < size.factor < 10 for size in sizes):
+            continue  # plain numbers, which may well be forces
+        joints = [robot.actuators[size.actuator].joint for size in sizes]
+        named = []
+        for size, joint in zip(sizes, joints, strict=True):
+            force = joint.force if joint is not None else "N m"
+            damping = joint.damping if joint is not None else ""
+            named.append(
+                f"{size.actuator}: {size.force:.3g} {force}, with {size.damping:.3g} {damping}"
+            )
+        signal = ", ".join(f"ctrl.{size.actuator}" for size in sizes)
+        what = f"in {unit}" if unit else "plain numbers"
+        text = (
+            f"commands are {what}, and the model's motors take forces: a command of 1 acts here "
+            "about as "
+            f"{'; '.join(named)} of viscous friction, back EMF included (by least squares)."
+        )
+        advice = (
+            "Set the motors' `gear` to that, or let a diagnosis name the gain (actuator_gain) and "
+            "the damping (joint_damping)."
+        )
+        yield Finding("warning", signal, text, advice)
 
 
 def _mapped_columns(mapping: Mapping) -> set[tuple[str | None, str]]:

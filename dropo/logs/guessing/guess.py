@@ -4,7 +4,7 @@ In reading order: `guess_mapping` reads the names of all columns (`log_columns`)
 quantity, and lets `_Guesser` find time, positions, base, velocities and commands one after another.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -15,13 +15,16 @@ from dropo.core.services.validation import Array
 from dropo.logs.floating_base import lacks_base, missing_for_base
 from dropo.logs.guessing import words
 from dropo.logs.guessing.base import BaseColumns, find_base, moving_base, quaternion_order
+from dropo.logs.guessing.files_beside import find_files
 from dropo.logs.guessing.guessed import LISTED, Guess, quote
 from dropo.logs.guessing.log_columns import LogColumns
 from dropo.logs.guessing.places import PlaceSettings, likeness, match
 from dropo.logs.guessing.scales import (
+    Choice,
     Scale,
     ScaleSettings,
     angle_unit,
+    answered_unit,
     command_unit,
     time_unit,
     velocity_unit,
@@ -30,8 +33,9 @@ from dropo.logs.guessing.sensor_entries import take_sensors
 from dropo.logs.guessing.words import ColumnName
 from dropo.logs.readers.reader import Log
 from dropo.logs.signals.stamps import increasing
-from dropo.logs.units import UNITS, seconds
+from dropo.logs.units import known_unit, seconds, unit_named
 from dropo.mjmodel.dynamics.drives import command_kind
+from dropo.mjmodel.followers import followers_of
 from dropo.mjmodel.joints import Joint, ModelJoints
 
 Ask = Callable[[str, Sequence[str]], str]
@@ -109,6 +113,7 @@ def guess_mapping(
     guesser = _Guesser(log, robot, given or {}, ask, settings)
     guesser.find_time()
     guesser.find_runs()
+    guesser.find_files()
     guesser.find_sensors()
     guesser.find_positions()
     guesser.find_base()
@@ -156,8 +161,20 @@ class _Guesser:
             entry["sign"] = scale.sign
         if scale.offset:
             entry["offset"] = scale.offset
+        return entry | self._source_entry(column)
+
+    def _source_entry(self, column: ColumnName) -> dict[str, Any]:
+        """Where a column stands, as far as an entry must say it."""
         if column.topic is not None:
-            entry["topic"] = column.topic
+            return {"topic": column.topic}
+        file = self._columns.file_of(column)
+        if file is None:
+            return {}
+        entry: dict[str, Any] = {"file": file.name}
+        if not file.same:
+            entry["clock"] = file.clock
+        elif file.clock != {"unit": "s", **self.guess.mapping["time"]}:
+            entry["clock"] = file.clock | {"same": True}
         return entry
 
     def _given_entry(self, quantity: str, name: str) -> dict[str, Any]:
@@ -173,7 +190,8 @@ class _Guesser:
         fixed = {}
         for name in names:
             wanted = self._given_entry(quantity, name).get("column")
-            found = next((one for one in self._columns.all if one.column == wanted), None)
+            there = (*self._columns.all, *self._columns.beside)
+            found = next((one for one in there if one.column == wanted), None)
             if found is not None:
                 fixed[name] = found
         rest = [one for one in columns if one not in fixed.values()]
@@ -272,6 +290,13 @@ class _Guesser:
                 self.guess.lines.append(f"runs: told apart by {column.column!r}")
                 return
 
+    def find_files(self) -> None:
+        """Find files beside the log that may hold what it does not."""
+        names = [*self._robot.joints, *self._robot.actuators]
+        time = self.guess.mapping.get("time", {})
+        given = dict(_files_in(self._given))
+        self._columns.add_files(find_files(self._log, names, given, time))
+
     def find_sensors(self) -> None:
         """Find the columns of gyros, accelerometers and other sensors of the model."""
         if not self._robot.sensors:
@@ -282,8 +307,9 @@ class _Guesser:
         base = self._base
         if self._free_joints() and len(base.position) == 3 and len(base.quaternion) == 4:
             taken |= set(base.all()) - set(base.gyro)
-        free = [one for one in self._columns.all if one not in taken]
-        take_sensors(self._columns, self._robot, free, entries, self.guess)
+        beside = [one for one in self._columns.beside if one.quantity != words.COMMAND]
+        free = [one for one in (*self._columns.all, *beside) if one not in taken]
+        take_sensors(self._columns, self._robot, free, entries, self.guess, self._source_entry)
         # what is another sensor's is not the base's
         others = [one for one in self._columns.all if one not in self._columns.used]
         self._base = find_base(others, [joint.name for joint in self._free_joints()])
@@ -314,11 +340,22 @@ class _Guesser:
             if joints[name].kind == "slide":
                 self._scale_slide(name, found[name], joints[name])
         without = [name for name in joints if name not in found]
+        leaders = self._leaders(found)
+        for name in [one for one in without if one in leaders]:
+            self.guess.lines.append(
+                f"{name} follows {leaders[name]} in the model: no column is needed"
+            )
+            without.remove(name)
         if without:
             self.guess.lines.append(
                 f"no position in the log: {', '.join(without)}; such a joint starts where the "
                 "model has it"
             )
+
+    def _leaders(self, found: Collection[str]) -> dict[str, str]:
+        """By joint the one of those found that it follows in the model."""
+        followers = followers_of(self._robot.model)
+        return {one.name: one.leader for one in followers if one.leader in found}
 
     def _free_joints(self) -> list[Joint]:
         """The free joints of the model."""
@@ -335,7 +372,8 @@ class _Guesser:
         self, left: Sequence[ColumnName], names: Sequence[str], found: dict[str, ColumnName]
     ) -> None:
         """Note joints without a column while columns of positions are left over."""
-        without = [name for name in names if name not in found]
+        leaders = self._leaders(found)
+        without = [name for name in names if name not in found and name not in leaders]
         if not without or not left:
             return
         for name in without:
@@ -363,19 +401,18 @@ class _Guesser:
             return
         columns = [found[name] for name in hinges]
         values = [self._columns.finite(column) for column in columns]
-        given = next((self._given_entry("qpos", name).get("unit") for name in hinges), None)
+        stated = [self._given_entry("qpos", name).get("unit") for name in hinges]
+        given = next((unit for unit in stated if unit is not None), None)
         hints = [given or column.unit for column in columns]
         commands, _ = match(self._columns.numeric_of(words.COMMAND), hinges, self._settings.places)
         followed = [self._paired(commands[name], found[name]) for name in commands]
         scale = angle_unit(
             values, [joints[name] for name in hinges], hints, followed, self._settings.scales
         )
-        if scale is None:
-            size = max(float(np.abs(one).max()) for one in values)
-            answer = self._decide(
-                f"Angles reach {size:.4g}: in which unit are {quote(columns)}?", ["rad", "deg"]
-            )
-            scale = Scale(answer or "rad", "that was the answer")
+        if isinstance(scale, Choice):
+            question = f"{scale.what}: in which unit are {quote(columns)}?"
+            answer = self._decide(question, scale.units) or scale.units[0]
+            scale = answered_unit(values, answer)
         for name, column in zip(hinges, columns, strict=True):
             self._keep_position(name, column, scale)
         whose = ", ".join(f"{name} = {found[name].column!r}" for name in hinges)
@@ -484,8 +521,15 @@ class _Guesser:
             time, place, speed = self._together(position, column)
             if len(time) < 20:
                 continue
+            if np.ptp(speed) == 0 < np.ptp(place):
+                stands = float(speed[0]) + 0.0  # which makes 0 of -0
+                self.guess.lines.append(
+                    f"velocity: {column.column!r} is left out, since it stands at {stands:g} while "
+                    f"{position.column!r} moves; it is estimated"
+                )
+                continue
             hint = self._given_entry("qvel", name).get("unit") or column.unit
-            place = UNITS[scale.unit][1] * (scale.sign * place + scale.offset)
+            place = known_unit(scale.unit)[1] * (scale.sign * place + scale.offset)
             unit = velocity_unit(time, place, speed, hint, joint, self._settings.scales)
             if unit is None:
                 self.guess.lines.append(
@@ -506,25 +550,62 @@ class _Guesser:
     def _together(self, one: ColumnName, other: ColumnName) -> tuple[Array, Array, Array]:
         """Stamps [s] and numbers of two columns of a topic, in the rows that have all."""
         first, second = self._columns.read([one, other])
-        time = self._time_of(one.topic, len(first))
+        time = self._time_of(one, len(first))
         there = np.isfinite(first) & np.isfinite(second) & np.isfinite(time)
         rows = np.flatnonzero(there)
         rows = rows[increasing(time[rows])]
         return time[rows], first[rows], second[rows]
 
-    def _time_of(self, topic: str | None, rows: int) -> Array:
-        """The stamps [s] of a topic's rows."""
+    def _time_of(self, one: ColumnName, rows: int) -> Array:
+        """The stamps [s] of the rows that a column stands in, from the log's first one."""
         entry = self.guess.mapping.get("time", {})
-        column = entry.get("column") or self._log.stamps(topic)
+        column = entry.get("column") or self._log.stamps(one.topic)
         if column is None:
             return np.arange(rows) / float(self._given.get("rate") or 1.0)
+        unit = entry.get("unit", "s")
+        file = self._columns.file_of(one)
+        topic = one.topic
         values = self._log.read(topic, [column], lambda fraction, text: None)[column]
-        return seconds(values, entry.get("unit", "s"), values[0])
+        if file is None:
+            return seconds(values, unit, values[0])
+        there = file.stamps()
+        return there - (seconds(values[:1], unit)[0] if file.same else there[0])
 
     def find_commands(self) -> None:
         """Find what was commanded to each actuator."""
         names, owners = self._driven()
-        candidates = self._columns.numeric_of(words.COMMAND)
+        by_kind = self._commands_among(self._columns.numeric_of(words.COMMAND), names, owners)
+        if not by_kind:
+            beside = [one for one in self._columns.beside if one.quantity == words.COMMAND]
+            by_kind = self._commands_among(self._columns.numeric(beside), names, owners)
+            self._say_files(by_kind)
+        efforts, _ = self._match("ctrl", self._columns.numeric_of(words.EFFORT), names)
+        if efforts and words.EFFORT not in by_kind:
+            by_kind["measured torque"] = efforts
+        if not by_kind and self._robot.actuators and "ctrl" not in self._given:
+            by_kind = self._ask_for_commands(names, owners)
+        self._take_commands(by_kind, names, owners)
+
+    def _ask_for_commands(
+        self, names: list[str], owners: dict[str, str]
+    ) -> dict[str, dict[str, ColumnName]]:
+        """Commands in columns whose names say the joint and not what it is, where that is so."""
+        unknown = self._columns.numeric_of(None)
+        found = self._match("ctrl", unknown, names)[0]
+        if not found:
+            by_joint, _ = match(unknown, list(owners.values()), self._settings.places)
+            found = {name: by_joint[owners[name]] for name in names if owners[name] in by_joint}
+        if 2 * len(found) < len(names) or not found:
+            return {}
+        question = f"Are {quote(list(found.values()))} what the actuators were told?"
+        answer = self._decide(question, ["yes", "no"])
+        return {self._kind_of(found, owners): found} if answer == "yes" else {}
+
+    def _commands_among(
+        self, candidates: Sequence[ColumnName], names: list[str], owners: dict[str, str]
+    ) -> dict[str, dict[str, ColumnName]]:
+        """By the kind of command which column is that of each actuator."""
+        candidates = [one for one in candidates if not self._is_supply(one)]
         by_kind: dict[str, dict[str, ColumnName]] = {}
         for kind in (words.POSITION, words.EFFORT, words.VELOCITY, None):
             of_kind = [one for one in candidates if one.kind == kind]
@@ -542,10 +623,26 @@ class _Guesser:
                     found[name] = by_joint[owners[name]]
             if found:
                 by_kind.setdefault(kind or self._kind_of(found, owners), found)
-        efforts, _ = self._match("ctrl", self._columns.numeric_of(words.EFFORT), names)
-        if efforts and words.EFFORT not in by_kind:
-            by_kind["measured torque"] = efforts
-        self._take_commands(by_kind, names, owners)
+        return by_kind
+
+    def _is_supply(self, column: ColumnName) -> bool:
+        """Whether volts are those that a machine is fed with, which hardly change."""
+        if column.unit not in ("V", "mV"):
+            return False
+        values = self._columns.finite(column)
+        return bool(values.min() > 0.5 * values.max() > 0)
+
+    def _say_files(self, by_kind: dict[str, dict[str, ColumnName]]) -> None:
+        """Say in which files beside the log the commands stand, and on which clock."""
+        columns = [column for found in by_kind.values() for column in found.values()]
+        for name in dict.fromkeys(column.file for column in columns if column.file is not None):
+            file = next(self._columns.file_of(one) for one in columns if one.file == name)
+            if file is not None:
+                clock = "the log's clock" if file.same else "a clock of its own"
+                self.guess.lines.append(
+                    f"commands: in {file.log.path.name} beside the log (`file: "
+                    f'"{file.name}"`), on {clock}'
+                )
 
     def _beside_positions(
         self, columns: Sequence[ColumnName], owners: dict[str, str]
@@ -601,11 +698,10 @@ class _Guesser:
         """(2, n) a command and a position of its topic where both are there; None if one rests."""
         if position.topic != command.topic:
             return None
-        commands, places = self._columns.read([command, position])
-        there = np.isfinite(commands) & np.isfinite(places)
-        if not (there.any() and np.ptp(commands[there]) > 0 and np.ptp(places[there]) > 0):
+        commands, places = self._paired(command, position)
+        if not (len(commands) and np.ptp(commands) > 0 and np.ptp(places) > 0):
             return None
-        return np.stack([commands[there], places[there]])
+        return np.stack([commands, places])
 
     def _nearest_likeness(self, command: ColumnName) -> float:
         """The largest correlation of a command with any joint's position, of either sign."""
@@ -660,7 +756,10 @@ class _Guesser:
                 f"{kinds} alone. Give the model actuators of that kind, or log what they take."
             )
         if self._robot.actuators:
-            self.guess.lines.append("no commands in the log: all are taken as 0")
+            self.guess.lines.append(
+                "no commands in the log: all are taken as 0, as of motors that are off; where they "
+                "were not, give the columns with --map, or infer them with `dropo data actions`"
+            )
 
     def _scale_commands(
         self, chosen: dict[str, ColumnName], kind: str, why: str, owners: dict[str, str]
@@ -689,7 +788,7 @@ class _Guesser:
 
     def _command_scale(self, column: ColumnName, kind: str, joint: str) -> Scale:
         """The unit of one command."""
-        hint = column.unit if column.unit in UNITS else None
+        hint = column.unit if unit_named(column.unit or "") else None
         is_slide = (
             self._robot.joints[joint].kind == "slide" if joint in self._robot.joints else False
         )
@@ -713,9 +812,9 @@ class _Guesser:
     def _paired(self, one: ColumnName, other: ColumnName) -> tuple[Array, Array]:
         """Two columns at the same rows; of topics of other rates, by their time."""
         first, second = self._columns.read([one, other])
-        if one.topic != other.topic:
-            at = self._time_of(one.topic, len(first))
-            known = self._time_of(other.topic, len(second))
+        if (one.topic, one.file) != (other.topic, other.file):
+            at = self._time_of(one, len(first))
+            known = self._time_of(other, len(second))
             second = np.interp(at, known, second)
         there = np.isfinite(first) & np.isfinite(second)
         return first[there], second[there]
@@ -729,6 +828,17 @@ class _Guesser:
             self.guess.mapping.pop("ctrl", None)
 
 
+def _files_in(given: object, above: str | None = None) -> Iterator[tuple[str, str | None]]:
+    """The files beside the log that entries of a mapping name, and what all their columns are."""
+    if not isinstance(given, dict):
+        return
+    for key, value in given.items():
+        if key == "file" and isinstance(value, str):
+            yield value, above
+        else:
+            yield from _files_in(value, "command" if key in ("ctrl", "inputs") else above)
+
+
 def _alike(one: Scale, other: Scale) -> bool:
     """Whether two units are of the same quantity."""
-    return UNITS[one.unit][0] == UNITS[other.unit][0]
+    return known_unit(one.unit)[0] == known_unit(other.unit)[0]

@@ -6,6 +6,7 @@ import numpy as np
 
 from dropo.core.services.errors import BadFile
 from dropo.core.services.validation import Array
+from dropo.logs.guessing.files_beside import FileBeside
 from dropo.logs.guessing.words import ColumnName, read_names
 from dropo.logs.readers.reader import Log
 
@@ -26,6 +27,8 @@ class LogColumns:
         The log.
     all : list of ColumnName
         All columns of all topics.
+    beside : list of ColumnName
+        Columns of files beside the log.
     used : set of ColumnName
         Those that are used already.
     """
@@ -33,8 +36,37 @@ class LogColumns:
     def __init__(self, log: Log, names: Sequence[str]):
         self.log = log
         self.all = read_names(log, names)
+        self.beside: list[ColumnName] = []
         self.used: set[ColumnName] = set()
+        self._files: dict[str, FileBeside] = {}
         self._values: dict[ColumnName, Array] = {}
+
+    def add_files(self, files: Sequence[FileBeside]) -> None:
+        """Take in the columns of files beside the log.
+
+        Parameters
+        ----------
+        files : sequence of FileBeside
+            As they were found.
+        """
+        for one in files:
+            self._files[one.name] = one
+            self.beside += one.columns
+
+    def file_of(self, column: ColumnName) -> FileBeside | None:
+        """Find the file that a column stands in.
+
+        Parameters
+        ----------
+        column : ColumnName
+            The column.
+
+        Returns
+        -------
+        FileBeside or None
+            None where it stands in the log.
+        """
+        return None if column.file is None else self._files[column.file]
 
     def of(self, quantity: str | None) -> list[ColumnName]:
         """List the columns of a quantity that are not used yet.
@@ -65,24 +97,25 @@ class LogColumns:
         list of (n,) array
             As they were logged, NaN where a row has none; all NaN of a column that holds texts.
         """
-        wanted: dict[str | None, list[ColumnName]] = {}
+        wanted: dict[tuple[str | None, str | None], list[ColumnName]] = {}
         for column in columns:
             if column not in self._values:
-                wanted.setdefault(column.topic, []).append(column)
-        for topic, of_topic in wanted.items():
-            found = self._read_topic(topic, [column.column for column in of_topic])
-            for column in of_topic:
+                wanted.setdefault((column.file, column.topic), []).append(column)
+        for (file, topic), of_source in wanted.items():
+            log = self.log if file is None else self._files[file].log
+            found = self._read_table(log, topic, [column.column for column in of_source])
+            for column in of_source:
                 self._values[column] = found[column.column]
         return [self._values[column] for column in columns]
 
-    def _read_topic(self, topic: str | None, names: list[str]) -> dict[str, Array]:
-        """Columns of a topic as numbers; one that holds texts, too, has none."""
+    def _read_table(self, log: Log, topic: str | None, names: list[str]) -> dict[str, Array]:
+        """Columns of a table as numbers; one that holds texts, too, has none."""
         try:
-            found = self.log.read(topic, names, lambda fraction, text: None)
+            found = log.read(topic, names, lambda fraction, text: None)
         except BadFile:
             if len(names) == 1:
                 return {names[0]: np.full(1, np.nan)}
-            return {name: self._read_topic(topic, [name])[name] for name in names}
+            return {name: self._read_table(log, topic, [name])[name] for name in names}
         out = {}
         for name, values in found.items():
             is_number = values.dtype.kind in "biuf"

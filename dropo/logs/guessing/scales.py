@@ -8,7 +8,7 @@ import numpy as np
 
 from dropo.core.services.validation import Array
 from dropo.data.checks.columns import lattice_step, unwrap
-from dropo.logs.units import SECONDS, UNITS
+from dropo.logs.units import SECONDS, UNITS, known_unit, unit_named
 from dropo.mjmodel.joints import Joint
 from dropo.mjmodel.sensors import G
 
@@ -31,10 +31,18 @@ class ScaleSettings:
         Bits of encoders whose ticks are tried.
     turns : tuple of int
         Counts of a turn that are tried for whole numbers.
+    others : tuple of float
+        Counts of a turn that an encoder may have as well; 1228.8 are 1024 in 300 degrees.
+    servo : int
+        Counts of a turn that most servos have.
     follows : float
         Correlation from which a joint follows its commands.
     octave : float
         How near commands must put the counts of a turn to one of `turns`, in powers of two.
+    near : float
+        How near to one of `others`, where none of `turns` is.
+    offered : int
+        Counts of a turn that a question offers.
     lattice : float
         How near the step of the numbers must be to that of an encoder, as a fraction.
     spacing : tuple of float
@@ -47,13 +55,22 @@ class ScaleSettings:
     fits: float = 1.4
     tick_bits: tuple[int, ...] = (10, 12, 14, 15, 16, 17, 18, 19, 20)
     turns: tuple[int, ...] = tuple(2**bits for bits in (10, 11, 12, 13, 14, 15, 16, 17, 18, 20))
+    others: tuple[float, ...] = (
+        *(1000.0, 1228.8, 2000.0, 2400.0, 3600.0, 4000.0, 5000.0, 8000.0, 10000.0, 20000.0),
+        *(36000.0, 40000.0),
+    )
+    servo: int = 4096
     follows: float = 0.8
-    octave: float = 0.35
+    octave: float = 0.15
+    near: float = 0.05
+    offered: int = 4
     lattice: float = 0.01
     spacing: tuple[float, float] = (2.5e-4, 0.25)
 
 
 DEFAULTS = ScaleSettings()
+_ANGLES = ("rad", "deg", "rev", "tick")
+"""Units of angles, and the first word of an encoder's."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +93,22 @@ class Scale:
     why: str
     offset: float = 0.0
     sign: int = 1
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Units of which the numbers do not tell one, and what they show.
+
+    Attributes
+    ----------
+    units : tuple of str
+        The likeliest first.
+    what : str
+        What is open, the beginning of a question.
+    """
+
+    units: tuple[str, ...]
+    what: str
 
 
 def time_unit(stamps: Array, hint: str | None, settings: ScaleSettings = DEFAULTS) -> Scale:
@@ -109,7 +142,7 @@ def angle_unit(
     hints: Sequence[str | None],
     followed: Sequence[tuple[Array, Array]] = (),
     settings: ScaleSettings = DEFAULTS,
-) -> Scale | None:
+) -> Scale | Choice:
     """Find the unit that all angles of a log share.
 
     Parameters
@@ -127,13 +160,15 @@ def angle_unit(
 
     Returns
     -------
-    Scale or None
-        None where the numbers may as well be rad as degrees.
+    Scale or Choice
+        A choice where numbers may as well be rad as degrees, or of encoders of several sizes.
     """
-    hint = next((one for one in hints if one in ("rad", "deg", "rev", "tick")), None)
+    hint = next((one for one in hints if (one or "").partition("/")[0] in _ANGLES), None)
+    if hint is not None and hint.startswith("tick/"):
+        return _counts(values, float(hint.removeprefix("tick/")), "it was given")
     if hint == "tick" and not _are_whole(values):
         hint = None
-    if hint == "tick" or (hint is None and _are_ticks(values)):
+    if hint == "tick" or (hint is None and _are_ticks(values, joints, settings)):
         return _ticks(values, joints, hint, followed, settings)
     if hint is not None:
         return Scale(hint, "their names say so")
@@ -162,7 +197,27 @@ def angle_unit(
         return Scale("deg", f"the largest is {largest:.4g}")
     if all(joint.range is not None for joint in joints) and not outside:
         return Scale("rad", "they are within the joints' ranges")
-    return None
+    return Choice(("rad", "deg"), f"Angles reach {largest:.4g}")
+
+
+def answered_unit(values: Sequence[Array], unit: str) -> Scale:
+    """Take the unit of angles that was the answer to a question.
+
+    Parameters
+    ----------
+    values : sequence of (n,) arrays
+        The numbers of each joint.
+    unit : str
+        One of the choice's.
+
+    Returns
+    -------
+    Scale
+    """
+    why = "that was the answer"
+    if unit.startswith("tick/"):
+        return _counts(values, float(unit.removeprefix("tick/")), why)
+    return Scale(unit, why)
 
 
 def _fits(values: Array, joint: Joint, factor: float, settings: ScaleSettings) -> bool:
@@ -191,9 +246,16 @@ def _are_whole(values: Sequence[Array]) -> bool:
     return all(bool((one == np.rint(one)).all()) for one in values)
 
 
-def _are_ticks(values: Sequence[Array]) -> bool:
-    """Whether numbers are whole and beyond 360 degrees, as an encoder's counts are."""
-    return _are_whole(values) and max(float(np.abs(one).max()) for one in values) > 720
+def _are_ticks(values: Sequence[Array], joints: Sequence[Joint], settings: ScaleSettings) -> bool:
+    """Whether numbers are whole and beyond two turns of degrees, or the joints' ranges of them."""
+    if not _are_whole(values):
+        return False
+    pairs = list(zip(values, joints, strict=True))
+    outside = all(
+        joint.range is not None and not _fits(one, joint, math.pi / 180, settings)
+        for one, joint in pairs
+    )
+    return outside or max(float(np.abs(one).max()) for one in values) > 720
 
 
 def _ticks(
@@ -202,36 +264,66 @@ def _ticks(
     hint: str | None,
     followed: Sequence[tuple[Array, Array]],
     settings: ScaleSettings,
-) -> Scale:
-    """Counts of an encoder, from its middle where all are above 0.
+) -> Scale | Choice:
+    """Counts of an encoder, whose size the commands tell, or which a servo's holds.
 
-    Of the usual encoder by which joints follow their commands, else of the smallest that holds the
-    numbers and by which all joints stay in their ranges.
+    Where neither is so, counts of 8192 and of 10000 a turn look alike: a choice.
     """
-    above = min(float(one.min()) for one in values) >= 0
     high = max(float(np.abs(one).max()) for one in values)
     why = "their names say ticks" if hint else "all are whole numbers"
-    turn = _turn_by_commands(followed, settings)
-    if turn is not None:
-        why += f", and joints follow their commands by {turn} a turn"
-    else:
-        holding = [turn for turn in settings.turns if high < turn] or [2**20]
+    about = _turn_by_commands(followed, settings)
+    if about is not None:
+        turn = _usual_turn(about, settings)
+        if turn is not None:
+            return _counts(
+                values, turn, f"{why}, and joints follow their commands by {turn:g} a turn"
+            )
+        nearest = sorted((*settings.turns, *settings.others), key=lambda one: abs(one - about))
+        units = tuple(f"tick/{one:.10g}" for one in nearest[: settings.offered])
+        return Choice(units, f"An encoder counts about {about:.4g} a turn, by the joints' commands")
+    servo = settings.servo
+    above = min(float(one.min()) for one in values) >= 0
+    if above and servo / 4 <= high < servo and _fit_in_turn(values, joints, servo, settings):
+        return _counts(values, servo, f"{why} below {servo}, a servo's turn")
+    holding = sorted(one for one in (*settings.turns, *settings.others) if one > high)
+    fitting = [one for one in holding if _fit_in_turn(values, joints, one, settings)]
+    units = tuple(f"tick/{one:.10g}" for one in (fitting or holding)[: settings.offered])
+    what = (
+        f"An encoder's counts reach {high:.0f}, and nothing tells how many a turn has (`tick/N` "
+        "with any N)"
+    )
+    return Choice(units or (f"tick/{2**20}",), what)
 
-        def fits(turn: int) -> bool:
-            middle = turn / 2 if above else 0.0
-            pairs = zip(values, joints, strict=True)
-            return all(_fits(v - middle, j, 2 * math.pi / turn, settings) for v, j in pairs)
 
-        turn = next((turn for turn in holding if fits(turn)), holding[0])
-        why += f" below {turn}, an encoder's turn"
+def _counts(values: Sequence[Array], turn: float, why: str) -> Scale:
+    """Counts of an encoder, from its middle where all are above 0."""
+    above = min(float(one.min()) for one in values) >= 0
     offset = -turn / 2 if above else 0.0
-    middle = f", 0 at its middle, {turn // 2}" if offset else ""
-    return Scale(f"tick/{turn}", why + middle, offset)
+    middle = f", 0 at its middle, {turn / 2:g}" if above else ""
+    return Scale(f"tick/{turn:.10g}", why + middle, offset)
+
+
+def _fit_in_turn(
+    values: Sequence[Array], joints: Sequence[Joint], turn: float, settings: ScaleSettings
+) -> bool:
+    """Whether all joints stay in their ranges where a turn has so many counts."""
+    middle = turn / 2 if min(float(one.min()) for one in values) >= 0 else 0.0
+    pairs = zip(values, joints, strict=True)
+    return all(_fits(v - middle, j, 2 * math.pi / turn, settings) for v, j in pairs)
+
+
+def _usual_turn(about: float, settings: ScaleSettings) -> float | None:
+    """The usual counts of a turn that are near a number; None where none are."""
+    nearest = min(settings.turns, key=lambda one: abs(math.log2(about / one)))
+    if abs(math.log2(about / nearest)) < settings.octave:
+        return nearest
+    other = min(settings.others, key=lambda one: abs(math.log2(about / one)))
+    return other if abs(about / other - 1) < settings.near else None
 
 
 def _turn_by_commands(
     followed: Sequence[tuple[Array, Array]], settings: ScaleSettings
-) -> int | None:
+) -> float | None:
     """Counts of a turn by which joints follow commands in rad or degrees; None if none tells."""
     found = []
     for commands, counts in followed:
@@ -241,11 +333,7 @@ def _turn_by_commands(
             continue
         full = 2 * math.pi if np.abs(commands).max() <= settings.largest_turn else 360.0
         found.append(full * float(counts.std() / commands.std()))
-    if not found:
-        return None
-    turn = float(np.median(found))
-    nearest = min(settings.turns, key=lambda one: abs(math.log2(turn / one)))
-    return nearest if abs(math.log2(turn / nearest)) < settings.octave else None
+    return float(np.median(found)) if found else None
 
 
 def velocity_unit(
@@ -322,15 +410,16 @@ def command_unit(commands: Array, logged: Array, hint: str | None, position: Sca
         That in which commands and positions are nearest; another than the positions' only where the
         distance is less than half.
     """
-    si = UNITS[position.unit][0]
-    if hint in UNITS and UNITS[hint][0] == si:
+    si, factor = known_unit(position.unit)
+    named = unit_named(hint or "")
+    if hint is not None and named is not None and named[0] == si:
         return Scale(hint, "its name says so")
     if not len(commands):
         return Scale(position.unit, "no row has both", position.offset)
-    measured = UNITS[position.unit][1] * (position.sign * logged + position.offset)
+    measured = factor * (position.sign * logged + position.offset)
 
     def distance(unit: str) -> float:
-        wanted = UNITS[unit][1] * commands
+        wanted = known_unit(unit)[1] * commands
         apart = [wanted - wanted.mean() - sign * (measured - measured.mean()) for sign in (1, -1)]
         return float(min(np.sqrt(np.mean(one**2)) for one in apart))
 

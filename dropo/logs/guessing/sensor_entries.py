@@ -1,6 +1,6 @@
 """Entries of a mapping for the columns of gyros, accelerometers and other sensors of the model."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,6 +28,7 @@ def take_sensors(
     free: Sequence[ColumnName],
     entries: Mapping[str, Any],
     guess: Guess,
+    source: Callable[[ColumnName], dict[str, Any]],
 ) -> None:
     """Take the columns of the model's sensors into a guessed mapping.
 
@@ -43,8 +44,10 @@ def take_sensors(
         By sensor what the mapping that was given says.
     guess : Guess
         What was guessed so far, which is added to.
+    source : callable
+        Says where a column stands, as an entry does.
     """
-    taking = _Taking(columns, guess)
+    taking = _Taking(columns, guess, source)
     groups, left = match_sensors(find_sensor_columns(free), robot)
     in_groups = {one for group in (*groups.values(), *left) for one in group.columns}
     for name, group in groups.items():
@@ -63,6 +66,7 @@ class _Taking:
 
     columns: LogColumns
     guess: Guess
+    source: Callable[[ColumnName], dict[str, Any]]
 
     def take(self, name: str, group: SensorColumns, given: object) -> None:
         """Take columns of an IMU into the mapping."""
@@ -99,8 +103,7 @@ class _Taking:
         if unit and stated is None:
             entry["unit"] = unit
             self.guess.sensor_units[name] = why
-        if columns[0].topic is not None:
-            entry["topic"] = columns[0].topic
+        entry |= self.source(columns[0])
         self.guess.mapping.setdefault("sensordata", {})[name] = entry
         shown = f"in {stated}, since it was given" if stated else f"in {unit}, since {why}"
         reading = shown if unit else f"in w, x, y, z, {why}"

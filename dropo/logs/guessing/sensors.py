@@ -104,7 +104,7 @@ def find_sensor_columns(columns: Sequence[ColumnName]) -> list[SensorColumns]:
 def _read(column: ColumnName) -> tuple[tuple[str, ...], str, list[str]]:
     """The words of a column that its like share, its place among these, and words of units."""
     words = tokens(column.column)
-    above = tuple(tokens(column.topic or ""))
+    above = tuple(tokens(column.topic or column.file or ""))
     for i in range(len(words) - 1, -1, -1):
         word = words[i]
         if word in ("x", "y", "z", "w") or word in _PLACES:

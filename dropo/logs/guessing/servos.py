@@ -7,12 +7,14 @@ import numpy as np
 from scipy.optimize import nnls
 
 from dropo.core.services.validation import Array
+from dropo.logs.mapping import COMMAND
 from dropo.logs.preparing import clean_run
 from dropo.logs.recordings import LogRun
 from dropo.logs.signals.velocities import estimate_velocities
-from dropo.mjmodel.dynamics.forces import inverse_forces
+from dropo.mjmodel.dynamics.drives import command_kind
+from dropo.mjmodel.dynamics.forces import force_per_command, inverse_forces
 from dropo.mjmodel.files.robots import DriveGuess
-from dropo.mjmodel.joints import ModelJoints, numbers_of, reference_pose
+from dropo.mjmodel.joints import Joint, ModelJoints, numbers_of, reference_pose
 
 
 @dataclass(frozen=True)
@@ -71,6 +73,66 @@ def estimate_drives(
     return {joint: motion.estimate(joint, drive) for joint, drive in drives.items()}
 
 
+@dataclass(frozen=True)
+class CommandSize:
+    """What a unit of a motor's command does, where it is no force.
+
+    Attributes
+    ----------
+    actuator : str
+        The motor.
+    unit : str
+        Of its command: "V", "A" or "".
+    force : float
+        Of the unit [N m or N].
+    damping : float
+        Viscous friction beside it, back EMF included [N m s/rad or N s/m].
+    factor : float
+        The force over that which the model gives to a command of 1.
+    """
+
+    actuator: str
+    unit: str
+    force: float
+    damping: float
+    factor: float
+
+
+def command_sizes(
+    runs: Sequence[LogRun], robot: ModelJoints, settings: DriveSettings = DEFAULTS
+) -> list[CommandSize]:
+    """Estimate what commands do that are no forces: volts, amperes, parts of a duty cycle.
+
+    Parameters
+    ----------
+    runs : sequence of LogRun
+        As they were read, of which the first is used.
+    robot : ModelJoints
+        The robot.
+    settings : DriveSettings, optional
+        How they are estimated.
+
+    Returns
+    -------
+    list of CommandSize
+        Of each motor with such a command whose joint's position was logged.
+    """
+    run = clean_run(runs[0], robot)
+    motion = _ServoMotion(run, robot, settings)
+    found = []
+    for series in run.series:
+        channel = series.channel
+        if channel.field != "ctrl" or channel.units[0] not in ("V", "A", ""):
+            continue
+        actuator = robot.actuators[channel.name]
+        if command_kind(robot.model, actuator.id) == "torque" and actuator.joint is not None:
+            size = motion.estimate_size(channel.name, channel.candidate, actuator.joint)
+            if size is not None:
+                factor = size[0] / force_per_command(robot.model, actuator.id)
+                found.append(CommandSize(channel.name, channel.units[0], *size, factor))
+    return found
+
+
 class _ServoMotion:
     """Positions, velocities and accelerations of a run, and the forces that they need."""
 
@@ -101,7 +163,7 @@ class _ServoMotion:
         if drive.kind == "torque":
             return drive
         joint = self._robot.joints[name]
-        command = self._command(name)
+        command = self._command(name, COMMAND)
         velocity = self._velocities[:, joint.qvel]
         position = self._positions[:, joint.qpos]
         inertia = numbers_of(self._robot.model, joint).inertia
@@ -109,14 +171,30 @@ class _ServoMotion:
             columns = [command - position, -velocity]
         else:
             columns = [command - velocity]
-        slow = self._settings.slow * float(np.abs(velocity).max() + 1e-12)
-        columns += [-self._accelerations[:, joint.qvel], -np.tanh(velocity / slow)]
+        columns += [-self._accelerations[:, joint.qvel], self._dry_friction(joint)]
         gains, _ = nnls(np.stack(columns, axis=1), self._forces[:, joint.qvel])
         return self._make_drive(drive.kind, gains, inertia)
 
-    def _command(self, name: str) -> Array:
+    def estimate_size(self, name: str, candidate: str, joint: Joint) -> tuple[float, float] | None:
+        """The force of a command of 1 and the viscous friction; None where the log shows none."""
+        velocity = self._velocities[:, joint.qvel]
+        command = self._command(name, candidate)
+        if not (np.ptp(velocity) > 0 and np.ptp(command) > 0):
+            return None
+        columns = [command, -velocity, -self._accelerations[:, joint.qvel]]
+        columns.append(self._dry_friction(joint))
+        gains, _ = nnls(np.stack(columns, axis=1), self._forces[:, joint.qvel])
+        return (float(gains[0]), float(gains[1])) if gains[0] > 0 else None
+
+    def _dry_friction(self, joint: Joint) -> Array:
+        """Dry friction of 1 along the motion."""
+        velocity = self._velocities[:, joint.qvel]
+        slow = self._settings.slow * float(np.abs(velocity).max() + 1e-12)
+        return np.asarray(-np.tanh(velocity / slow))
+
+    def _command(self, name: str, candidate: str) -> Array:
         """The command at the positions' instants, held from row to row."""
-        series = self._run.of("ctrl", name, "command")
+        series = self._run.of("ctrl", name, candidate)
         if series is None:
             return np.zeros(len(self._time))
         row = np.searchsorted(series.time, self._time + 1e-9, side="right") - 1

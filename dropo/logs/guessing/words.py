@@ -22,6 +22,7 @@ _QUANTITIES: dict[str, tuple[str, ...]] = {
         *("control", "action", "actions", "setpoint", "set", "ref", "reference", "des", "desired"),
         *("want", "wanted", "input", "u", "pwm", "request", "requested", "demand", "sp"),
         *("soll", "sollwert", "consigne", "qref", "qdes", "qcmd", "qtarget", "qgoal"),
+        *("volt", "volts", "voltage", "voltages", "mv", "duty"),
     ),
     OTHER: (
         *("acc", "accel", "acceleration", "accelerations", "qdd", "ddq", "temp", "temperature"),
@@ -54,6 +55,9 @@ _UNITS: dict[str, tuple[str, ...]] = {
     "tick": ("tick", "ticks", "count", "counts", "raw", "lsb", "steps"),
     "mN m": ("mnm",),
     "N m": ("nm",),
+    "mV": ("mv", "millivolts"),
+    "V": ("volt", "volts", "voltage", "voltages"),
+    "1": ("pwm", "duty"),
     "mA": ("ma", "milliamps"),
     "A": ("amp", "amps", "ampere"),
     "mm": ("mm",),
@@ -75,6 +79,27 @@ _EMPTY = (
 TIME_UNITS = tuple(word for unit in ("ms", "us", "ns") for word in _UNITS[unit])
 """Words of units that only stamps have."""
 _PER_SECOND = ("s", "sec", "second")
+_FORCES = ("N m", "mN m", "N", "V", "mV", "A", "mA")
+"""Units of what drives a motor."""
+_SIGNS = {
+    "v": "V",
+    "mv": "mV",
+    "a": "A",
+    "ma": "mA",
+    "nm": "N m",
+    "n m": "N m",
+    "n.m": "N m",
+    "n·m": "N m",
+    "n*m": "N m",
+    "mnm": "mN m",
+    "n": "N",
+    "%": "%",
+    "°": "deg",
+    "°/s": "deg/s",
+}
+"""Units as they stand in brackets at a name's end, in lower case."""
+_IN_BRACKETS = re.compile(r"^(.+?)\s*[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$")
+_AT_END = re.compile(r"^(.+)_(V|mV|A|mA|Nm|mNm)$")
 _ELEMENT = re.compile(r"(.+)\[([^\[\]]+)\]")
 _TOKEN = re.compile(r"[A-Za-z]+|\d+")
 _CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
@@ -114,6 +139,8 @@ class ColumnName:
         The unit that a word names: one of units.UNITS, of time, or "tick".
     rest : tuple of str
         The other words, which may name the joint.
+    file : str or None
+        The file beside the log that it stands in, as a mapping names it.
     """
 
     column: str
@@ -122,9 +149,12 @@ class ColumnName:
     kind: str | None
     unit: str | None
     rest: tuple[str, ...]
+    file: str | None = None
 
 
-def read_name(column: str, topic: str | None, joints: Iterable[str]) -> ColumnName:
+def read_name(
+    column: str, topic: str | None, joints: Iterable[str], above: str | None = None
+) -> ColumnName:
     """Read the name of a column.
 
     Parameters
@@ -135,29 +165,46 @@ def read_name(column: str, topic: str | None, joints: Iterable[str]) -> ColumnNa
         Its topic.
     joints : iterable of str
         Names of joints and actuators, whose words keep their meaning.
+    above : str, optional
+        A name whose words hold for all its columns; by default the topic.
 
     Returns
     -------
     ColumnName
     """
+    above = above if above is not None else topic
     own = {word for name in joints for word in tokens(name)}
-    words = tokens(column)
+    bracket = _IN_BRACKETS.match(column) or _AT_END.match(column)
+    sign = _SIGNS.get(bracket[2].lower()) if bracket and bracket[2].lower() not in own else None
+    words = tokens(column if sign is None or bracket is None else bracket[1])
     quantity, kind, used = _quantity([word for word in words if word not in own])
     unit, of_unit = _unit([word for word in words if word not in own])
+    unit = sign or unit
     if quantity is None:
         quantity, kind, _ = _quantity(words)
-    if topic is not None and quantity not in (COMMAND, TIME):
-        above, _, _ = _quantity(tokens(topic))
-        if above == COMMAND:
+    if above is not None and quantity not in (COMMAND, TIME):
+        of_all, _, _ = _quantity(tokens(above))
+        if of_all == COMMAND:
             kind = quantity
             quantity = COMMAND
+    if unit in _FORCES:
+        quantity, kind = _of_force(quantity, kind, unit)
     if unit in ("deg/s", "rad/s", "rpm", "rev/s") and quantity in (None, POSITION):
         quantity = VELOCITY
     rest = [word for word in words if word in own or word not in (*used, *of_unit, *_EMPTY)]
     return ColumnName(column, topic, quantity, kind, unit, tuple(rest))
 
 
-def read_names(log: Log, joints: Sequence[str]) -> list[ColumnName]:
+def _of_force(quantity: str | None, kind: str | None, unit: str) -> tuple[str | None, str | None]:
+    """The quantity of what is in a unit of forces, and the kind of its command."""
+    if quantity == COMMAND:
+        return COMMAND, kind if kind not in (None, POSITION) else EFFORT
+    if quantity is None:
+        return (COMMAND, EFFORT) if unit in ("V", "mV") else (EFFORT, None)
+    return quantity, kind
+
+
+def read_names(log: Log, joints: Sequence[str], above: str | None = None) -> list[ColumnName]:
     """Read the names of all columns of all topics.
 
     Parameters
@@ -165,6 +212,8 @@ def read_names(log: Log, joints: Sequence[str]) -> list[ColumnName]:
     log : Log
         The log.
     joints : sequence of str
+        As of `read_name`.
+    above : str, optional
         As of `read_name`.
 
     Returns
@@ -186,7 +235,7 @@ def read_names(log: Log, joints: Sequence[str]) -> list[ColumnName]:
             if topic is None:
                 raise
             continue
-        found += [read_name(column, topic, joints) for column in _without_aliases(columns)]
+        found += [read_name(column, topic, joints, above) for column in _without_aliases(columns)]
     return found
 
 

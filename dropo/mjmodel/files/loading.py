@@ -17,6 +17,8 @@ from dropo.mjmodel.warnings import suppress_mujoco_warnings
 
 NAN = "NaN"
 """What MuJoCo's warning of a number in a file says that is none."""
+STEPS = (1e-9, 1e3)
+"""Shortest and longest timestep [s]; others are mistakes in typing, and times overflow."""
 _ATTRIBUTE = re.compile(r"(\w+)\s*=\s*[\"']([^\"']*)[\"']")
 
 
@@ -68,7 +70,8 @@ def load_model(
     BadArgument
         If a compiled model is given, and one of the fields needs bodies to be compiled anew.
     BadFile
-        If there is no such file, the model does not compile, or its timestep is not above 0.
+        If there is no such file, the model does not compile, or its timestep is outside
+        `STEPS`.
 
     Notes
     -----
@@ -88,8 +91,10 @@ def load_model(
     else:
         compiled = _compile(model, fields)
     step = compiled.opt.timestep
-    if not step > 0:
-        raise BadFile(_source(model), "timestep", "a number above 0", f"{step:g}")
+    shortest, longest = STEPS
+    if not shortest <= step <= longest:
+        expected = f"{shortest:g} to {longest:g} s"
+        raise BadFile(_source(model), "timestep", expected, f"{step:g}")
     compiled.opt.disableflags |= (
         mujoco.mjtDisableBit.mjDSBL_WARMSTART | mujoco.mjtDisableBit.mjDSBL_AUTORESET
     )

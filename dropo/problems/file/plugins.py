@@ -1,10 +1,10 @@
 """The key `plugins` of a problem file: Python files with parts of one's own."""
 
-import os
 from pathlib import Path
 
 from dropo.core.services.errors import BadEntry
 from dropo.core.services.files.file_content import FileContent
+from dropo.core.services.files.places import way_to
 from dropo.core.services.plugin_files import is_loaded, load_plugins
 from dropo.problems.file.schema import ProblemFile
 
@@ -64,4 +64,4 @@ def places_from(plugins: tuple[str, ...], folder: Path) -> list[str]:
     -------
     list of str
     """
-    return [Path(os.path.relpath(path, folder.resolve())).as_posix() for path in plugins]
+    return [way_to(path, folder) for path in plugins]

@@ -2,7 +2,6 @@
 
 import importlib
 import importlib.util
-import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +13,7 @@ from dropo.core.records.task import Task
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import BadEntry, BadFile
 from dropo.core.services.files.file_content import FileContent, describe_value
+from dropo.core.services.files.places import way_to
 from dropo.core.services.validation import Array
 from dropo.problems.file.schema import FUNCTION, ProblemFile, TaskEntry
 from dropo.simulators.mujoco.simulator import MujocoSimulator
@@ -141,7 +141,7 @@ def locate_from(source: Any, folder: Path) -> Any:
     module, _, name = str(source).rpartition(":")
     if not module.endswith(".py"):
         return source
-    return f"{Path(os.path.relpath(module, folder.resolve())).as_posix()}:{name}"
+    return f"{way_to(module, folder)}:{name}"
 
 
 def _import_functions(file: FileContent[ProblemFile], entry: TaskEntry) -> dict[str, Any]:

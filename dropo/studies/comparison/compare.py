@@ -15,6 +15,7 @@ from dropo.core.contracts.estimator import Progress, silent
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.fits.fit import Fit
 from dropo.core.services.errors import BadArgument, DropoError
+from dropo.core.services.files.places import without_root
 from dropo.core.services.validation import Array, require
 from dropo.problems.record import problem_record
 from dropo.studies.comparison.data_sets import data_set
@@ -160,8 +161,9 @@ def run_comparison(
     with work.counted():
         answers = iter(work.map(fitted, items))
     fits: Fits = {}
+    called = {problem: without_root(problem) for problem in problems}
     for problem in problems:
-        fits[problem] = {
+        fits[called[problem]] = {
             variant.label: [next(answers) for _ in range(seeds)] for variant in variants
         }
     units = np.repeat([len(made[problem].space) + 1 for problem in problems], seeds)
@@ -172,7 +174,7 @@ def run_comparison(
     )
     settings = {
         "variants": [variant.to_json() for variant in variants],
-        "problems": problems,
+        "problems": list(called.values()),
         "seeds": seeds,
         "transitions": transitions,
         "target": asdict(target),

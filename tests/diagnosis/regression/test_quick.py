@@ -2,9 +2,11 @@
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 
+from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import BadArgument, Incompatible
 from dropo.diagnosis.findings.fittable import fittable
@@ -13,6 +15,7 @@ from dropo.diagnosis.search.library import robot_of
 from dropo.problems.file.writer import write_problem
 from dropo.problems.hopper.problem import hopper
 from dropo.problems.loading import load
+from dropo.simulators.mujoco.simulator import MujocoSimulator
 from dropo.studies.first_models.machines import (
     DESIGNS,
     Design,
@@ -177,6 +180,61 @@ def test_a_weak_drive_beside_an_offset_elsewhere():
     assert ("joint_stiffness", "joint1") in by_label(diagnosis)
 
 
+def test_two_weak_drives_of_three():
+    """Most drives are weak, each by another part: no payload or friction stands for that."""
+    gains = gains_of(QuickDiagnose().run(weak_drive([-0.15, -0.2, 0.0])))
+    assert set(gains) == {"drive0", "drive1"}
+    assert abs(gains["drive0"].value + 0.15) < TOLERANCE * gains["drive0"].se
+    assert abs(gains["drive1"].value + 0.2) < TOLERANCE * gains["drive1"].se
+
+
+def wrong_body(change):
+    """The problem of an arm whose model is right but for one body, which a function changes."""
+    design = DESIGNS["arm, 3 joints"]
+    rng = np.random.default_rng(41)
+    machine = replace(random_machine(design, rng), payload=0.0, gain=0.0, delay=0.0)
+    spec = first_model(design)
+    model = built(spec, machine)
+    model.option.timestep = spec.option.timestep
+    change(spec)
+    data = recorded(built(spec, machine), design.servos, 0.0, rng, runs=1)
+    return problem_of("one body", model, data)
+
+
+def test_a_wrong_centre_of_mass_is_no_payload():
+    """Nor a gain beside springs: the numbers of one body explain as much by themselves."""
+
+    def change(spec):
+        compiled = spec.compile().body("body1")
+        body = spec.body("body1")
+        body.explicitinertial = True
+        body.mass = compiled.mass[0]
+        body.ipos = compiled.ipos - np.array([0.04, 0, 0])
+        body.iquat = compiled.iquat
+        body.inertia = compiled.inertia
+
+    estimates = by_label(QuickDiagnose().run(wrong_body(change)))
+    assert set(estimates) == {("body_com", "body1")}
+    found = estimates["body_com", "body1"]["x"]
+    assert abs(found.value + 0.04) < TOLERANCE * found.se
+    assert found.se < 0.004
+
+
+def test_a_body_that_is_too_heavy_is_no_gain():
+    """Its mass is named, with its inertia as far as that shows, and what looks the same."""
+
+    def change(spec):
+        spec.body("body1").first_geom().mass = 0.7
+
+    diagnosis = QuickDiagnose().run(wrong_body(change))
+    estimates = by_label(diagnosis)
+    assert {target for _, target in estimates} == {"body1"}
+    found = estimates["body_mass", "body1"]["mass"]
+    assert abs(found.value + 0.3) < TOLERANCE * found.se
+    mass = next(cause for cause in diagnosis.causes if cause.effect == "body_mass")
+    assert ("body_com", "body1") in [(one.effect, one.target) for one in mass.confused_with]
+
+
 def test_no_spring_pushes_away():
     """A command that falls behind with the angle is like a spring below 0, which there is none."""
     problem = weak_drive([0.0, 0.0, 0.0])
@@ -198,7 +256,15 @@ def test_numbers_that_are_not_known_are_not_named():
     settings = QuickSettings()
     found = estimate_missing(problem, problem.trajectories, settings)
     assert found.solution.payload is not None
-    unknown = replace(found, errors=np.full(len(found.errors), 300.0))
+    assert found.solution.payload.mass < 1.1 < 300.0
+    for error in (1.1, 300.0):
+        unknown = replace(found, errors=np.full(len(found.errors), error))
+        payload = next(
+            number
+            for number in unknown.numbers(robot_of(problem), settings.certain)
+            if number.effect == "payload"
+        )
+        assert not payload.named
     numbers = unknown.numbers(robot_of(problem), settings.certain)
     assert not [number for number in numbers if number.named]
     assert ("payload", True) in [(number.effect, number.unknown) for number in numbers]
@@ -293,3 +359,24 @@ def test_refusals(plain):
         QuickDiagnose().run(plain.using(transitions=20))
     with pytest.raises(BadArgument, match="'problem' of QuickDiagnose must be a Problem"):
         QuickDiagnose().run("hopper")
+
+
+@pytest.mark.parametrize(
+    ("limits", "said"),
+    [("", "every command is 0, as of motors that are off"), ("1 2", "No row of the log counts")],
+)
+def test_logs_that_tell_no_force_are_refused(limits, said):
+    """A pendulum that swings without its motor, and one far beyond its range all along."""
+    limited = f'range="{limits}"' if limits else ""
+    xml = (
+        '<mujoco><option timestep="0.01"/><worldbody><body>'
+        f'<joint name="j" axis="0 1 0" {limited}/><geom size="0.05" pos="0 0 -0.4" mass="1"/>'
+        '</body></worldbody><actuator><motor joint="j"/></actuator></mujoco>'
+    )
+    simulator = MujocoSimulator(mujoco.MjSpec.from_string(xml), [], threads=1)
+    angle = -0.8 * np.cos(5 * 0.01 * np.arange(1001))
+    rows = np.column_stack([angle, np.gradient(angle, 0.01)])
+    commands = np.full((1000, 1), 1.0 if limits else 0.0)
+    data = Trajectories(rows[:-1], commands, rows[1:], np.arange(1000) == 999)
+    with pytest.raises((BadArgument, Incompatible), match=said):
+        QuickDiagnose().run(Problem("pendulum", simulator, data, epsilon=1e-8))

@@ -157,16 +157,19 @@ def test_an_encoder_by_its_commands(tmp_path: Path, turn: int, unit: str, full: 
 
 
 def test_an_encoder_by_the_ranges(tmp_path: Path) -> None:
-    """Counts without commands: the smallest encoder by which joints stay in their ranges."""
+    """Counts without commands: encoders by which joints stay in their ranges are asked for."""
     counts = {
         name: np.rint(angle * 16384 / (2 * np.pi))
         for name, angle in (("hip counts", HIP), ("knee counts", KNEE))
     }
     found = guess(tmp_path, {"t": TIME} | counts)
-    (unit,) = {entry["unit"] for entry in found.mapping["qpos"].values()}
-    turn = int(unit.removeprefix("tick/"))
-    largest = max(np.abs(count).max() for count in counts.values())
-    assert largest < turn <= 16384
+    (question,) = found.undecided
+    assert question.startswith("An encoder's counts reach 2868, and nothing tells how many a turn")
+    assert "tick/4096" not in question  # beyond the ranges
+    found = guess(tmp_path, {"t": TIME} | counts, ask=lambda asked, options: "tick/16384")
+    assert {entry["unit"] for entry in found.mapping["qpos"].values()} == {"tick/16384"}
+    given = {"qpos": {"left_knee": {"unit": "tick/16384"}}}
+    assert guess(tmp_path, {"t": TIME} | counts, given=given).undecided == []
 
 
 @pytest.mark.parametrize(
@@ -456,7 +459,7 @@ def test_what_is_not_in_the_log_is_said(tmp_path: Path) -> None:
     assert any(line.startswith("no position in the log: left_knee; such a") for line in lines)
     assert "no command in the log: knee_servo; taken as 0" in lines
     lines = guess(tmp_path, {"t": TIME, "hip q": HIP, "knee q": KNEE}).lines
-    assert "no commands in the log: all are taken as 0" in lines
+    assert "no commands in the log: all are taken as 0" in " ".join(lines)
 
 
 def test_runs_are_told_apart_by_a_column(tmp_path: Path) -> None:
@@ -532,6 +535,49 @@ def test_currents_and_commanded_velocities_have_their_units(tmp_path: Path) -> N
     found = guess(tmp_path, columns | speeds, wheels)
     units = {name: entry["unit"] for name, entry in found.mapping["ctrl"].items()}
     assert units == {"hip_servo": "rad/s", "knee_servo": "deg/s"}
+
+
+@pytest.mark.parametrize("stands", [0.0, 0.137])
+def test_a_velocity_that_stands_is_left_out(tmp_path: Path, stands: float) -> None:
+    columns = {"t": TIME, "hip q": HIP, "knee q": KNEE, "hip dq": SPEEDS[0]}
+    found = guess(tmp_path, columns | {"knee dq": np.full(len(TIME), stands)})
+    assert list(found.mapping["qvel"]) == ["left_hip"]
+    assert any(f"it stands at {stands:g} while 'knee q' moves" in one for one in found.lines)
+
+
+@pytest.mark.parametrize(
+    ("names", "unit"),
+    [
+        ("{} volt", "V"),
+        ("{} u [V]", "V"),
+        ("{}_voltage_mV", "mV"),
+        ("{}_pwm", "1"),
+        ("{} cmd [Nm]", "N m"),
+        ("{}_command (A)", "A"),
+    ],
+)
+def test_what_motors_were_told(tmp_path: Path, names: str, unit: str) -> None:
+    """Volts, parts of a duty cycle, torques and currents are commands, in their units."""
+    motors = robot(SERVOS.replace("<position", "<motor").replace(' kp="20"', ""))
+    columns = {"t": TIME, "hip q": HIP, "knee q": KNEE}
+    told = {names.format("hip"): 9 * SPEEDS[0], names.format("knee"): 9 * SPEEDS[1]}
+    found = guess(tmp_path, columns | told | {"supply voltage": 12 + 0.1 * HIP}, motors)
+    assert {entry["unit"] for entry in found.mapping["ctrl"].values()} == {unit}
+    assert list(columns_of(found, "ctrl").values()) == list(told)
+
+
+def test_commands_of_no_known_name_are_asked_for(tmp_path: Path) -> None:
+    """Columns with the joints' names that say nothing else: asked, never left out in silence."""
+    motors = robot(SERVOS.replace("<position", "<motor").replace(' kp="20"', ""))
+    columns = {"t": TIME, "hip q": HIP, "knee q": KNEE}
+    told = {"hip foo": 9 * SPEEDS[0], "knee foo": 9 * SPEEDS[1]}
+    (question,) = guess(tmp_path, columns | told, motors).undecided
+    assert question == "Are 'hip foo', 'knee foo' what the actuators were told? (yes or no)"
+    found = guess(tmp_path, columns | told, motors, ask=lambda asked, options: "yes")
+    assert list(columns_of(found, "ctrl").values()) == list(told)
+    found = guess(tmp_path, columns | told, motors, given={"ctrl": {}})
+    assert found.undecided == []
+    assert any("as of motors that are off" in line for line in found.lines)
 
 
 def test_velocities_that_cannot_be_checked_are_left_out(tmp_path: Path) -> None:

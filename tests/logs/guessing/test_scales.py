@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from dropo.logs.guessing.scales import Scale, angle_unit, command_unit, time_unit
+from dropo.logs.guessing.scales import Choice, Scale, angle_unit, command_unit, time_unit
 from dropo.mjmodel.joints import Joint, model_joints
 
 TIME = np.linspace(0, 4, 400)
@@ -47,7 +47,41 @@ def test_large_numbers() -> None:
     wide = joint("-1200 1200")
     found = angle_unit([15 * wave], [wide], [None])
     assert found == Scale("rad", "they are within the joints' ranges")
-    assert angle_unit([15 * wave], [joint()], [None]) is None
+    asked = angle_unit([15 * wave], [joint()], [None])
+    assert asked == Choice(("rad", "deg"), "Angles reach 15")
+
+
+@pytest.mark.parametrize(
+    ("turn", "found"),
+    [(4096, 4096), (4095, 4096), (8192, 8192), (10000, 10000), (65536, 65536), (1228.8, 1228.8)],
+)
+def test_counts_of_any_turn_by_the_commands(turn: float, found: float) -> None:
+    """Joints that follow commands in rad tell the counts of a turn, usual ones exactly."""
+    wave = 0.8 * np.sin(2 * TIME)
+    counts = np.rint(0.98 * wave * turn / (2 * np.pi) + turn / 2)
+    scale = angle_unit([counts], [joint()], [None], [(wave, counts)])
+    assert isinstance(scale, Scale)
+    assert (scale.unit, scale.offset) == (f"tick/{found:g}", -found / 2)
+
+
+def test_counts_that_nothing_tells_are_asked() -> None:
+    """8192 and 10000 look alike without commands; an odd size is asked with its neighbours."""
+    wave = 0.8 * np.sin(2 * TIME)
+    counts = np.rint(wave * 10000 / (2 * np.pi) + 5000)
+    asked = angle_unit([counts], [joint("-90 90")], [None])
+    assert isinstance(asked, Choice)
+    assert {"tick/8192", "tick/10000"} <= set(asked.units)
+    assert "counts reach 6273" in asked.what
+    odd = np.rint(wave * 6300 / (2 * np.pi))
+    asked = angle_unit([odd], [joint()], ["tick"], [(wave, odd)])
+    assert isinstance(asked, Choice)
+    assert "about 6300 a turn" in asked.what
+    scale = angle_unit([odd], [joint()], ["tick/6300"], [(wave, odd)])
+    assert scale == Scale("tick/6300", "it was given")
+    small = np.rint(wave * 1024 / (2 * np.pi) + 512)
+    asked = angle_unit([small], [joint("-90 90")], [None])
+    assert isinstance(asked, Choice)
+    assert asked.units[:2] == ("tick/1000", "tick/1024")
 
 
 def test_a_name_of_ticks_counts_for_whole_numbers_alone() -> None:

@@ -6,7 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from dropo.logs.guessing.servos import estimate_drives
+from dropo.logs.guessing.check import check_logs
+from dropo.logs.guessing.servos import command_sizes, estimate_drives
 from dropo.logs.mapping import read_mapping
 from dropo.logs.recordings import LogRun, read_runs
 from dropo.mjmodel.files.robots import DriveGuess
@@ -68,3 +69,49 @@ def test_gains_that_the_log_does_not_show(tmp_path: Path) -> None:
     assert found["wrist"].damping == pytest.approx(usual, rel=1e-2)
     found = estimate_drives(runs, robot, {"wrist": DriveGuess("position")})
     assert found["wrist"].stiffness == pytest.approx(usual * 2 * np.pi * 5.0, rel=1e-2)
+
+
+GEARED = ARM.replace('<motor name="wrist" joint="wrist"/>', "").replace(
+    f'<velocity name="pan" joint="pan" kv="{DAMPING}"/>',
+    '<motor name="pan" joint="pan" gear="2"/>',
+)
+
+
+@pytest.mark.parametrize("unit", ["V", "A", "1"])
+def test_what_a_volt_is_worth(tmp_path: Path, unit: str) -> None:
+    """A motor that the machine drives by 0.7 N m a volt with 0.4 N m s/rad of back EMF."""
+    model = mujoco.MjModel.from_xml_string(GEARED)
+    data = mujoco.MjData(model)
+    rows = []
+    for k in range(800):
+        told = 1.5 * np.sin(0.05 * k) + (k // 100) % 2
+        rows.append((0.005 * k, data.qpos[0], 20 * told))
+        for _ in range(5):
+            data.ctrl[0] = (0.7 * 20 * told - DAMPING * data.qvel[0]) / 2
+            mujoco.mj_step(model, data)
+    t, q, u = np.array(rows).T
+    np.savez(tmp_path / "log.npz", t=t, q=q, u=u)
+    (tmp_path / "arm.xml").write_text(GEARED)
+    told = f"{{column: u, unit: {unit!r}}}"
+    text = f"time: {{column: t}}\nqpos: {{pan: {{column: q}}}}\nctrl: {{pan: {told}}}"
+    (tmp_path / "map.yaml").write_text(text)
+    robot = load_model_joints(tmp_path / "arm.xml")
+    mapping = read_mapping(tmp_path / "map.yaml", robot)
+    runs = read_runs([tmp_path / "log.npz"], mapping, lambda share, what: None)
+    (size,) = command_sizes(runs, robot)
+    assert size.force == pytest.approx(0.7, rel=0.1)
+    assert size.damping == pytest.approx(DAMPING, rel=0.1)
+    assert size.factor == pytest.approx(0.35, rel=0.1)
+    found = [one for one in check_logs([], runs, mapping, robot) if one.signal == "ctrl.pan"]
+    named = [one for one in found if "back EMF" in one.sentence]
+    assert len(named) == (0 if unit == "1" else 1)  # 1 may well be newton metres
+
+
+def test_volts_for_a_servo_are_refused(tmp_path: Path) -> None:
+    text = "qpos: {pan: {column: q}}\nctrl: {pan: {column: u, unit: V}}"
+    runs, robot = moved(tmp_path, text)
+    mapping = read_mapping(tmp_path / "map.yaml", robot)
+    errors = [one for one in check_logs([], runs, mapping, robot) if one.level == "error"]
+    assert [one.sentence for one in errors] == [
+        "its commands are in V, and the model's actuator takes a velocity."
+    ]
