@@ -73,10 +73,9 @@ def table(found: dict[str, dict[str, Any]]) -> str:
         if row is None:
             lines.append(f"| {what} | {signals} | {transitions:,} |" + " not measured |" * 7)
             continue
-        # "before": measured before a change that the README names
         rate = 1e6 * row["seconds"] / transitions
         lines.append(
-            f"| {what}{' *' * ('before' in row)} | {signals} | {transitions:,} |"
+            f"| {what} | {signals} | {transitions:,} |"
             f" {row['steps']:,} | {row['seconds']:.0f} |"
             f" {rate:.0f} | {row['data_mb']:,.0f} | {row['memory_mb']:,.0f} |"
             f" {100 * row['error']:.2g} | {row['z']:.2g} |"

@@ -82,9 +82,14 @@ def test_the_problem_file_is_ready(folder: Path, arm: Any) -> None:
         "qvel.elbow",
     ]
     record = json.loads((folder / "out" / "import.json").read_text())
-    assert record.pop("model") == str(folder / "robot.xml")
+    assert str(folder) not in json.dumps(record)
+    assert record.pop("model") == "../robot.xml"
     assert len(record.pop("problem_sum")) == 64
-    assert record == json.loads(json.dumps(found.to_json()))
+    said = json.loads(json.dumps(found.to_json()))
+    for rows, as_given in zip(record["runs"].values(), said["runs"].values(), strict=True):
+        given = Path(as_given.pop("log"))
+        assert (folder / "out" / rows.pop("log")).resolve() == given.resolve()
+    assert record == said
     assert record["noise"]["qvel.elbow"]["unit"] == "rad/s"
     error = problem.simulator.predict(np.empty((1, 0)), problem.segments)[
         0

@@ -173,6 +173,7 @@ def test_a_problem_file_that_changed_is_fitted_anew(
         return real(item | {"variant": {"method": "least-squares", "settings": {}}})
 
     monkeypatch.setattr(module, "fitted", fitted)
+    monkeypatch.chdir(tmp_path)
     dropo.write_problem(dropo.hide("torque-arm", (), seed=1, threads=1), tmp_path)
     path = tmp_path / "problem.yaml"
     command = ["compare", "--method", "least-squares", "--problem", str(path)]
@@ -185,6 +186,7 @@ def test_a_problem_file_that_changed_is_fitted_anew(
     np.savez(path.with_name("data.npz"), **data)
     stops.clear()
     assert main(command) == 0
+    assert str(tmp_path) not in (tmp_path / "out" / "comparison.json").read_text()
     assert len(before) == 1
     assert sorted(seed for content, seed in done if content not in before) == [0, 0, 1, 1]
     assert list((tmp_path / "out").glob(".*.jsonl"))
