@@ -8,7 +8,7 @@ import time
 import numpy as np
 import pytest
 
-from benchmarks import cost, meshes, shares, tables
+from benchmarks import cost, meshes, shares, tables, walk
 from benchmarks.objective import (
     EPSILON,
     TINY,
@@ -157,3 +157,13 @@ def test_meshes_prints_a_row_for_each_arm(capsys):
         assert len(cells) == head.count(" | ")
         assert all(float(cell) >= 0 for cell in cells)
         assert float(cells[-1]) > 10  # MB
+
+
+def test_a_walk_ends_with_a_page(tmp_path, capsys):
+    """A log of 6 s goes through every command; what fails says what the command said."""
+    walk.walk("arm", tmp_path, rows=600)
+    rows = [line.split(" | ")[1] for line in capsys.readouterr().out.splitlines()]
+    assert rows == ["init", "data check", "diagnose", "report", "export", "all"]
+    assert (tmp_path / "found" / "report.html").exists()
+    with pytest.raises(RuntimeError, match="dropo report nothing: "):
+        walk.timed(["report", "nothing"], tmp_path)

@@ -202,7 +202,7 @@ class Layout:
         """The joints that no column holds, and that follow one whose position is observed."""
         seen = self.observed("qpos")
         own = {place for one in followers_of(model) for place in one.places if place not in seen}
-        found = {}
+        found: dict[int, Follower] = {}
         for one in followers_of(model):
             if one.places[0] in own and one.places[1] in seen:
                 found.setdefault(one.places[0], one)

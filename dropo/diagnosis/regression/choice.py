@@ -195,10 +195,10 @@ class Chooser:
 
     def _is_simpler(self, found: Solution, body: Solution) -> bool:
         """Whether a body's inertial numbers explain as much in fewer things, or more in as many."""
+        if self._is_large(body, found.spread):
+            return False
         fewer = self._candidates_in(found) - self._candidates_in(body)
-        if fewer > 0:
-            return not self._is_large(body, found.spread)
-        return fewer == 0 and self._is_large(found, body.spread)
+        return fewer > 0 or (fewer == 0 and self._is_large(found, body.spread))
 
     def _selected(
         self, solution: Solution, families: dict[str, Group], groups: list[Group]
