@@ -216,12 +216,15 @@ class Chooser:
         A wrong gain of all drives shows at other joints than those whose own gain is wrong.
         """
         own = [i for i in apart.terms if self.fitter.terms[i].family == OWN_GAIN]
-        weak = int(np.count_nonzero(np.abs(apart.sizes[own]) > self.settings.apart))
-        if weak == 0:
+        weak = [size for size in apart.sizes[own] if abs(size) > self.settings.apart]
+        # Most drives off by the same share are the scale of the masses, or another drive.
+        drives = [term for term in self.fitter.terms if term.family == OWN_GAIN]
+        alike = bool(weak) and np.ptp(weak) <= self.settings.apart
+        if not weak or (alike and 2 * len(weak) > len(drives)):
             return False
-        alike = replace(apart, weights=shared.weights)
+        reweighted = replace(apart, weights=shared.weights)
         without = self.held_out(shared, self.tables(shared))
-        errors = self.held_out(alike, self.tables(alike))
+        errors = self.held_out(reweighted, self.tables(reweighted))
         fraction, z = _worth(without, errors)
         certain = fraction > self.settings.improvement and z > self.settings.block_z
         return certain and self._is_large(shared, apart.spread)
