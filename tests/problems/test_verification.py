@@ -100,10 +100,17 @@ def test_nothing_missing_is_verified_too(tmp_path):
 
 
 def test_broken_numbers_are_refused(copied, capsys):
-    """A number of another type, a text that is no UTF-8, code that does not run: one line each."""
+    """A number of another type, an archive that Python cannot read, a text that is no UTF-8, code
+    that does not run: one line each.
+    """
     kept = copied / "extended" / "model.npz"
     numbers = dict(np.load(kept))
     np.savez(kept, **{**numbers, "opt.disableflags": np.array(1.5)})
+    assert main(["verify", str(copied)]) == 2
+    np.savez(kept, **numbers)
+    archive = bytearray(kept.read_bytes())
+    archive[archive.index(b"PK\x01\x02") + 8] |= 0x20  # a feature of archives that Python lacks
+    kept.write_bytes(archive)
     assert main(["verify", str(copied)]) == 2
     np.savez(kept, **numbers)
     code = copied / "extended" / "model.py"
@@ -112,8 +119,8 @@ def test_broken_numbers_are_refused(copied, capsys):
     code.write_text("robot = ")
     assert main(["verify", str(copied), "--trust"]) == 2
     told = capsys.readouterr().err
-    assert told.count("\n") == 3
-    assert told.count("expected") == 3
+    assert told.count("\n") == 4
+    assert told.count("expected") == 4
 
 
 def test_a_model_that_diverges_is_off(copied, tmp_path, monkeypatch, capfd):

@@ -33,7 +33,16 @@ HOOKS = (
     "wrench",
 )
 """The hooks of effects that act on a plain model in each step."""
-BROKEN = (AttributeError, EOFError, KeyError, OSError, TypeError, ValueError, BadZipFile)
+BROKEN = (
+    AttributeError,
+    EOFError,
+    KeyError,
+    OSError,
+    TypeError,
+    ValueError,
+    BadZipFile,
+    NotImplementedError,
+)
 """What numbers of another kind or shape, and files that were cut off, end in."""
 SENSOR = ("start", "measurement", "sensor_delay")
 """Those that act on what is measured alone."""
