@@ -1,6 +1,7 @@
 """The page of a folder: complete, self-contained, and true to the folder's numbers."""
 
 import json
+import os
 import re
 from html.parser import HTMLParser
 from itertools import pairwise
@@ -131,7 +132,7 @@ def test_a_fits_page_holds_its_numbers(fit_folder, pages):
     for shown in (
         record["data_sha256"],
         record["model_sha256"],
-        f"dropo fit hopper --transitions 80 --out {fit_folder}",
+        f"dropo fit hopper --transitions 80 --out {os.path.relpath(fit_folder)}",
         "mujoco",
         "seed",
     ):

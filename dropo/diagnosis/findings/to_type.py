@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from dropo.core.contracts.problem import Problem
-from dropo.core.services.errors import Incompatible
+from dropo.core.services.errors import BadArgument, Incompatible
 from dropo.core.services.tables import number
 from dropo.diagnosis.parts import effect_in_words
 from dropo.mjmodel.files.changes import changed_elements
@@ -42,7 +42,7 @@ def to_type(came: Problem, found: Problem, declared: Mapping[str, float]) -> tup
         values[i] = declared.get(name, values[i])
     try:
         lines = list(changed_elements(format_model(before), format_model(after, values)))
-    except Incompatible:
+    except (BadArgument, Incompatible):
         return ()
     comments = lines[::2]
     elements = lines[1::2]

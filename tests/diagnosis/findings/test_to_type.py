@@ -62,3 +62,9 @@ def test_few_lines_are_printed():
     many = typed_lines(["<a/>"] * (SHOWN + 2))
     assert len(many) == SHOWN + 2
     assert many[-1] == "  ... and 2 lines more, in extended/model.xml"
+
+
+def test_of_a_compiled_model_nothing_is_listed():
+    """It has no text to type into, which ends no diagnosis."""
+    came = problem(MujocoSimulator(mujoco.MjModel.from_xml_string(XML), [], threads=1))
+    assert to_type(came, came, {}) == ()
