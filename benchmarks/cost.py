@@ -8,7 +8,6 @@ alone; the others stay as they were
 
 import argparse
 import json
-import re
 import resource
 import subprocess
 import sys
@@ -22,6 +21,7 @@ from threadpoolctl import threadpool_limits
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from benchmarks.readme import write_block
 from benchmarks.robots import problem_of
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.support.fisher_scoring import maximize_locally
@@ -182,12 +182,7 @@ def write(found: dict[str, dict[str, Any]]) -> None:
     """The table into the README between `<!-- cost -->` and `<!-- end -->`, and the picture."""
     from dropo.studies.engine.pages import picture
 
-    readme = HERE / "README.md"
-    block = f"<!-- cost -->\n{table(found)}\n<!-- end -->"
-    page = readme.read_text()
-    write_text(
-        readme, re.sub(r"<!-- cost -->.*?<!-- end -->", lambda _: block, page, flags=re.DOTALL)
-    )
+    write_block("cost", table(found))
     write_text(HERE / "cost.svg", picture(lambda figure: draw(figure, found)))
 
 

@@ -17,7 +17,8 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from dropo.core.services.files.atomic_write import write_json, write_text
+from benchmarks.readme import write_block
+from dropo.core.services.files.atomic_write import write_json
 
 HERE = Path(__file__).resolve().parent
 KEPT = HERE / "faults.json"
@@ -54,11 +55,7 @@ def table(found: list[dict[str, Any]]) -> str:
 
 def write(found: list[dict[str, Any]]) -> None:
     """The table into the README between `<!-- faults -->` and `<!-- end -->`."""
-    readme = HERE / "README.md"
-    block = f"<!-- faults -->\n{table(found)}\n<!-- end -->"
-    pattern = r"<!-- faults -->.*?<!-- end -->"
-    text = re.sub(pattern, lambda _: block, readme.read_text(), flags=re.DOTALL)
-    write_text(readme, text)
+    write_block("faults", table(found))
 
 
 def main() -> None:

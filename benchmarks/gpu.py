@@ -5,7 +5,6 @@
 
 import datetime as dt
 import importlib.util
-import re
 import sys
 import time
 from pathlib import Path
@@ -14,11 +13,10 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from benchmarks.readme import write_block
 from dropo.core.contracts.simulator import Simulator
-from dropo.core.services.files.atomic_write import write_text
 from dropo.problems.loading import load
 
-README = Path(__file__).resolve().parent / "README.md"
 PROBLEMS = ("hopper-noisy", "half-cheetah")
 WORLDS = (1_000, 10_000, 100_000)
 
@@ -67,10 +65,7 @@ def table() -> str:
 
 def main() -> None:
     """The table, into the README between `<!-- gpu -->` and `<!-- end -->`."""
-    block = f"<!-- gpu -->\n{table()}\n<!-- end -->"
-    pattern = r"<!-- gpu -->.*?<!-- end -->"
-    write_text(README, re.sub(pattern, lambda _: block, README.read_text(), flags=re.DOTALL))
-    print(block)
+    print(write_block("gpu", table()))
 
 
 if __name__ == "__main__":

@@ -51,8 +51,8 @@ def late(seed: int = FIRST) -> None:
     """The fits without and with what is hidden: trusted or not, and what they say."""
     arm = _arm()
     hidden = [
-        (_instance(arm, "actuator_delay", "actuator_delay"), np.array([DELAY])),
-        (_instance(arm, "joint_friction", "joint_friction:elbow_flex"), np.array([FRICTION])),
+        (_instance(arm, "actuator_delay"), np.array([DELAY])),
+        (_instance(arm, "joint_friction:elbow_flex"), np.array([FRICTION])),
     ]
     centre = arm.model.actuator_ctrlrange.mean(axis=1)
     half = 0.4 * np.ptp(arm.model.actuator_ctrlrange, axis=1) / 2
@@ -138,9 +138,9 @@ def _arm() -> MujocoSimulator:
     return MujocoSimulator(spec, parameters, observation=["qpos", "qvel"], frame_skip=10, threads=1)
 
 
-def _instance(simulator: MujocoSimulator, effect: str, label: str) -> EffectInstance:
+def _instance(simulator: MujocoSimulator, label: str) -> EffectInstance:
     """The effect of that label."""
-    found = instances_of(simulator.effect_context, effect, label.partition(":")[2])
+    found = instances_of(simulator.effect_context, label.partition(":")[0])
     return next(one for one in found if one.label == label)
 
 

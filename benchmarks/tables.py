@@ -6,7 +6,6 @@ python benchmarks/tables.py --tiny     small data, for trying it out
 """
 
 import argparse
-import re
 import sys
 import time
 from dataclasses import dataclass
@@ -17,8 +16,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.cost import timed
+from benchmarks.readme import write_block
 from dropo.core.contracts.problem import Problem
-from dropo.core.services.files.atomic_write import write_text
 from dropo.estimators.dropo import DROPO
 from dropo.families.truncated_gaussian import TruncatedGaussian
 from dropo.likelihoods.monte_carlo import MonteCarlo
@@ -114,13 +113,7 @@ def main() -> None:
     tiny = parser.parse_args().tiny
     text, _ = report(100 if tiny else 1000)
     if not tiny:
-        readme = Path(__file__).with_name("README.md")
-        block = f"<!-- tables -->\n{text}\n<!-- end -->"
-        page = readme.read_text()
-        write_text(
-            readme,
-            re.sub(r"<!-- tables -->.*?<!-- end -->", lambda _: block, page, flags=re.DOTALL),
-        )
+        write_block("tables", text)
     print(text)
 
 

@@ -7,7 +7,6 @@ transitions alone.
 
 import argparse
 import json
-import re
 import resource
 import subprocess
 import sys
@@ -19,9 +18,10 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from benchmarks.readme import write_block
 from benchmarks.robots import block_problem, problem_of
 from dropo.core.contracts.problem import Problem
-from dropo.core.services.files.atomic_write import write_json, write_text
+from dropo.core.services.files.atomic_write import write_json
 from dropo.estimators.dropo import DROPO
 
 HERE = Path(__file__).resolve().parent
@@ -85,11 +85,7 @@ def table(found: dict[str, dict[str, Any]]) -> str:
 
 def write(found: dict[str, dict[str, Any]]) -> None:
     """The table into the README between `<!-- transitions -->` and `<!-- end -->`."""
-    readme = HERE / "README.md"
-    block = f"<!-- transitions -->\n{table(found)}\n<!-- end -->"
-    pattern = r"<!-- transitions -->.*?<!-- end -->"
-    text = re.sub(pattern, lambda _: block, readme.read_text(), flags=re.DOTALL)
-    write_text(readme, text)
+    write_block("transitions", table(found))
 
 
 def main() -> None:
