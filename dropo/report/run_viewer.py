@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dropo.core.numerics.spans import spans_of
 from dropo.core.records.predictions import Predictions, WholeRun
 from dropo.core.services.validation import Array
 from dropo.plots.motion import changed, telling
@@ -127,8 +128,7 @@ def _spans(held_out: NDArray[np.bool_]) -> list[list[int]]:
     """First and last + 1 step of every span held out; none where all or nothing is."""
     if held_out.all() or not held_out.any():
         return []
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], held_out.astype(int), [0]])))
-    return np.asarray(edges).reshape(-1, 2).tolist()
+    return spans_of(held_out).tolist()
 
 
 def _written(run: WholeRun, columns: list[int], both: bool) -> tuple[str, list[Any]]:

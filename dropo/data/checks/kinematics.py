@@ -10,6 +10,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from dropo.core.numerics.spans import spans_of
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
 from dropo.data.checks.findings import Finding, Level
@@ -260,9 +261,8 @@ def _sum_over_windows(motion: Displacements, seconds: float) -> _Windows:
 
 def _frozen(windows: _Windows, settings: KinematicsSettings) -> NDArray[np.bool_]:
     """(m,) in which windows the velocity stands still while the position moves otherwise."""
-    ends = np.flatnonzero(np.diff(np.concatenate([[0], windows.kept.astype(int), [0]])))
     long = np.zeros(len(windows.kept), dtype=bool)
-    for start, stop in zip(ends[::2].tolist(), ends[1::2].tolist(), strict=True):
+    for start, stop in spans_of(windows.kept).tolist():
         long[start:stop] = stop - start >= settings.frozen
     apart = np.abs(windows.displacement - windows.integral)
     return np.asarray(long & (apart > 0.5 * _rms(windows.displacement)))
