@@ -201,11 +201,11 @@ class Layout:
     def _unobserved_followers(self, model: mujoco.MjModel) -> list[Follower]:
         """The joints that no column holds, and that follow one whose position is observed."""
         seen = self.observed("qpos")
-        own = {place for one in followers_of(model) for place in one.places if place not in seen}
         found: dict[int, Follower] = {}
         for one in followers_of(model):
-            if one.places[0] in own and one.places[1] in seen:
-                found.setdefault(one.places[0], one)
+            own, leading = one.places
+            if own not in seen and leading in seen:
+                found.setdefault(own, one)
         return list(found.values())
 
     def write_start(

@@ -635,8 +635,7 @@ class _Guesser:
     def _say_files(self, by_kind: dict[str, dict[str, ColumnName]]) -> None:
         """Say in which files beside the log the commands stand, and on which clock."""
         columns = [column for found in by_kind.values() for column in found.values()]
-        for name in dict.fromkeys(column.file for column in columns if column.file is not None):
-            file = next(self._columns.file_of(one) for one in columns if one.file == name)
+        for file in dict.fromkeys(map(self._columns.file_of, columns)):
             if file is not None:
                 clock = "the log's clock" if file.same else "a clock of its own"
                 self.guess.lines.append(
