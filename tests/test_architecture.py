@@ -152,7 +152,8 @@ def reads(source):
     fields = fields_of_models()
     found = []
     for node in nodes_of(source):
-        by_name = isinstance(node, ast.Call) and last_name(node) in ("getattr", "setattr")
+        function = node.func if isinstance(node, ast.Call) else None
+        by_name = isinstance(function, ast.Name) and function.id in ("getattr", "setattr")
         if by_name and is_model(node.args[0]):
             found.append(f"{node.lineno}: {ast.unparse(node)}")
         if not isinstance(node, ast.Attribute):

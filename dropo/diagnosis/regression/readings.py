@@ -182,6 +182,7 @@ class Readings:
     _motions: dict[object, _SmoothedMotion] = field(default_factory=dict)
     _fits: dict[object, JointFit] = field(default_factory=dict)
     _smooth: dict[object, Array] = field(default_factory=dict)
+    _given: dict[object, Array] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         simulator = robot_of(self.problem)
@@ -520,13 +521,23 @@ class Readings:
     ) -> Array:
         """(n,) the smoothed command of an actuator in a stretch."""
         run, start, stop = stretch
-        logged = log.logged[run]
-        commands = logged.copy()
-        commands[:, i] = reading.command_scales[i] * logged[:, reading.commands[i]]
-        if within:
-            commands = log.given(commands)
         kernel = held_kernel(self.width, log.step, delay)
-        return apply_kernel(kernel, commands[start:stop, [i]])[:, 0]
+        command = self._command(log, run, reading, i, within=within)
+        return apply_kernel(kernel, command[start:stop, None])[:, 0]
+
+    def _command(
+        self, log: UniformLog, run: int, reading: Reading, i: int, *, within: bool
+    ) -> Array:
+        """(n,) the command of an actuator in a run."""
+        key = (log, run, i, reading.commands[i], reading.command_scales[i], within)
+        if key not in self._given:
+            logged = log.logged[run]
+            commands = logged.copy()
+            commands[:, i] = reading.command_scales[i] * logged[:, reading.commands[i]]
+            if within:
+                commands = log.given(commands)
+            self._given[key] = commands[:, i]
+        return self._given[key]
 
     def _motion(self, reading: Reading) -> _SmoothedMotion:
         """The rows under a reading of the angles."""
@@ -573,8 +584,12 @@ class Readings:
 
     def _thinned(self, stretch: Stretch, rows: Array) -> Array:
         """Rows (n, k) of a stretch after the second kernel, those that are kept."""
-        smooth = derivative_kernels(self.second, self.parts[0][0].step)[0]
-        return apply_kernel(smooth, rows)[self._kept(stretch)]
+        return apply_kernel(self._second_kernel, rows)[self._kept(stretch)]
+
+    @cached_property
+    def _second_kernel(self) -> Array:
+        """The weights of the second smoothing."""
+        return derivative_kernels(self.second, self.parts[0][0].step)[0]
 
     def _stretches(self, log: UniformLog, rows: int) -> list[Stretch]:
         """The stretches of a side that are used, so many rows in all."""
