@@ -56,11 +56,11 @@ def test_a_free_body_has_no_such_effects():
     data = Trajectories(rest, np.zeros((20, 0)), rest + 0.01, np.arange(20) == 19)
     problem = Problem("thrown", simulator, data)
     jacobian = np.ones((len(problem.segments), len(simulator.signals), 1))
-    assert likely_cause(problem, np.array([1.0]), jacobian) is None
+    assert likely_cause(problem, np.array([1.0]), jacobian, np.ones(len(simulator.signals))) is None
 
 
 def test_a_simulator_without_a_robot_has_no_effects():
     """The sliding block in closed form."""
     problem = slide()
     jacobian = np.ones((len(problem.segments), len(problem.simulator.signals), 2))
-    assert likely_cause(problem, np.array([1.5, 0.8]), jacobian) is None
+    assert likely_cause(problem, np.array([1.5, 0.8]), jacobian, np.ones(2)) is None
