@@ -41,8 +41,8 @@ class LikelyCauseSettings:
     outlier : float
         Standard deviations at which a residual is cut.
     factor : float
-        How many times larger or smaller than its trial an effect may come out that does not act in
-        proportion to its size.
+        An effect that does not act in proportion to its size may come out so many times smaller
+        than its smallest trial, or larger than its largest.
     """
 
     effects: tuple[str, ...] = (
@@ -140,16 +140,15 @@ def likely_cause(
     if not free.evident.any():
         return None
 
-    # Nothing is named that would have to be of quite another size than its trial.
     found: list[tuple[float, float, str]] = []
     moved = _tried(simulator, mean, trials, segments)
-    for (instance, size), predicted in zip(trials, moved, strict=True):
+    for trial, predicted in zip(trials, moved, strict=True):
         if not np.isfinite(predicted[free.good]).all():
             continue
         share, coefficient, score = free.explained(predicted - base)
-        within = 1 / settings.factor < coefficient < settings.factor
-        if within or (instance.quantities[0].smooth and coefficient):
-            found.append((share, score, _sentence(instance, size * coefficient, share)))
+        size = trial.size * coefficient
+        if trial.low < size < trial.high:
+            found.append((share, score, _sentence(trial.instance, size, share)))
     if not found:
         return None
     share, _, sentence = max(found)
@@ -164,34 +163,47 @@ def _count(segments: Segments, settings: LikelyCauseSettings) -> int:
     return max(1, min(settings.segments, settings.steps // longest))
 
 
-def _trials(
-    simulator: RobotSimulator, settings: LikelyCauseSettings
-) -> list[tuple[EffectInstance, float]]:
-    """Each effect with a size to try it at; several, where it does not act in proportion to it."""
-    found = []
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """An effect, the size at which it is tried, and the sizes that its response stands for."""
+
+    instance: EffectInstance
+    size: float
+    low: float
+    high: float
+
+
+def _trials(simulator: RobotSimulator, settings: LikelyCauseSettings) -> list[_Trial]:
+    """Each effect at a size; at several, where it does not act in proportion to it."""
+    found: list[_Trial] = []
     for name in settings.effects:
         for instance in find("effects", name)(simulator.effect_context):
             if len(instance.quantities) > 1 or (name == "actuator_delay" and instance.target):
                 continue
             quantity = instance.quantities[0]
-            probes = quantity.probes[1:2] if quantity.smooth else quantity.probes
-            found += [(instance, probe) for probe in probes]
+            if quantity.smooth:
+                probes = quantity.probes[1:2]
+                found += [_Trial(instance, one, quantity.low, quantity.high) for one in probes]
+                continue
+            # Each of several stands for the sizes that are nearest to it.
+            sizes = np.sort(quantity.probes)
+            between = np.sqrt(sizes[1:] * sizes[:-1])
+            ends = [sizes[0] / settings.factor, *between, sizes[-1] * settings.factor]
+            for size, low, high in zip(sizes, ends[:-1], ends[1:], strict=True):
+                found.append(_Trial(instance, float(size), float(low), float(high)))
     stride = -(-len(found) // settings.places)
     return found[:: max(1, stride)]
 
 
 def _tried(
-    simulator: RobotSimulator,
-    mean: Array,
-    trials: list[tuple[EffectInstance, float]],
-    segments: Segments,
+    simulator: RobotSimulator, mean: Array, trials: list[_Trial], segments: Segments
 ) -> Array:
     """(K, R, p) predictions at the means with each of K effects, one at a time."""
-    instances = list(dict.fromkeys(instance for instance, _ in trials))
+    instances = list(dict.fromkeys(trial.instance for trial in trials))
     values = np.zeros((len(trials), len(mean) + len(instances)))
     values[:, : len(mean)] = mean
-    for row, (instance, size) in zip(values, trials, strict=True):
-        row[len(mean) + instances.index(instance)] = size
+    for row, trial in zip(values, trials, strict=True):
+        row[len(mean) + instances.index(trial.instance)] = trial.size
     changed = simulator.with_effects(instances)
     predicted = changed.predict(values, segments)
     simulator.steps += changed.steps
@@ -256,7 +268,9 @@ def _basis(slopes: Array, rows: Ints) -> tuple[Ints, Array]:
 def _sentence(instance: EffectInstance, size: float, share: float) -> str:
     """The effect, where, how large, and what it explains."""
     quantity = instance.quantities[0]
-    place = "of all commands" if instance.target is None else f"at {instance.target}"
+    place = f"at {instance.target}"
+    if instance.target is None:
+        place = f"of all {instance.variant or 'commands'}"
     unit = "" if quantity.unit == "1" else f" {quantity.unit}"
     return (
         f"the residuals look like {instance.effect.replace('_', ' ')} {place}, {quantity.name} "

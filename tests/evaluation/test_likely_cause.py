@@ -36,6 +36,20 @@ def test_what_is_hidden_is_what_they_look_like(hidden):
     assert size == pytest.approx(float(hidden.split("=")[1]), rel=0.5)
 
 
+@pytest.mark.parametrize(
+    ("hidden", "said"),
+    [
+        ("actuator_delay=0.001", "actuator delay of all commands, delay about 0.00"),
+        ("joint_friction:elbow=0.003", "joint friction at elbow, frictionloss about 0.00"),
+    ],
+)
+def test_what_is_small_is_told_too(hidden, said):
+    """A tenth of the above: the model is wrong, by the response to the effect itself."""
+    fit = fitted(hide("torque-arm", [hidden], seed=3, threads=1))
+    assert fit.trusted is False
+    assert any(said in text for text in fit.warnings)
+
+
 def test_a_right_model_looks_like_nothing():
     """Nothing is said where nothing speaks against the model."""
     fit = fitted(load("torque-arm", threads=1))
