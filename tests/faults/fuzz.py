@@ -311,8 +311,13 @@ def _hang(*_: object) -> None:
     raise HangError
 
 
+def _end_what_hears_nothing() -> None:
+    """End a command that hangs where no signal is heard; called again as long as one is."""
+    faulthandler.dump_traceback_later(2 * WAIT, exit=True)
+
+
 def _clock() -> float:
-    """Seconds by the clock without those in which this waited for a processor, where that is known."""
+    """Seconds by the clock without those of waiting for a processor, where these are known."""
     delay = Path("/proc/self/schedstat")
     waited = int(delay.read_text().split()[1]) / 1e9 if delay.exists() else 0.0
     return time.monotonic() - waited
@@ -350,6 +355,7 @@ def _run(folder: Path, command: tuple[str, ...], before: dict[str, bytes | None]
     def waited(*_: object) -> None:
         if _clock() - begun > WAIT:
             raise HangError
+        _end_what_hears_nothing()
 
     signal.signal(signal.SIGPROF, _hang)
     signal.signal(signal.SIGALRM, waited)
@@ -373,6 +379,7 @@ def _run(folder: Path, command: tuple[str, ...], before: dict[str, bytes | None]
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
         signal.setitimer(signal.ITIMER_PROF, 0)
+        faulthandler.cancel_dump_traceback_later()
     refusal = err.getvalue()
     if "Interrupted" in refusal:
         raise KeyboardInterrupt
@@ -402,8 +409,7 @@ def main_fuzz() -> int:
         whole.mkdir()
         build(whole)
         for number in range(arguments.first, arguments.first + arguments.cases):
-            # Ends a command that hangs where no signal is heard.
-            faulthandler.dump_traceback_later(2 * WAIT, exit=True)
+            _end_what_hears_nothing()
             found = run_case(whole, Path(place) / "case", number, arguments.seed, arguments.kind)
             if found:
                 broken += 1
