@@ -224,7 +224,7 @@ class _Free:
         epsilon: Array,
         settings: LikelyCauseSettings,
     ):
-        self.good = np.isfinite(residual).all(axis=1)
+        self.good = np.asarray(np.isfinite(residual).all(axis=1))
         kept = residual[self.good]
         self.evident = evident_signals(kept, segments.targets[self.good], epsilon)
         scale = np.sqrt(np.mean(kept**2, axis=0))

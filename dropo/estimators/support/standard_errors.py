@@ -14,6 +14,7 @@ from dropo.core.numerics.kept_rows import MEMORY, KeptRows, MemorySettings, keep
 from dropo.core.numerics.linear_gaussian import information_of_units, scores_and_information
 from dropo.core.numerics.robust_covariance import inverse_information, sandwich
 from dropo.core.numerics.shared_draws import pairs_of, score_covariances
+from dropo.core.records.fits.fit import variance_errors
 from dropo.core.records.independent_units import units_of
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.trajectories import Ints
@@ -311,8 +312,7 @@ def _of_spreads(
         if f"scale.{name}" in names:
             scale[i] = errors[names.index(f"scale.{name}")]
     size = family.scale(own)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        variance = 2 * family.sd(own) ** 2 * scale / size
+    variance = variance_errors(family.sd(own), size, scale)
     mean_se = errors[mean_places(objective, family.space)]
     none = _variances_of_none(family, objective, phi, mean_se, units, settings)
     scale[~(scale < size)] = np.nan
