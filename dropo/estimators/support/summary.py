@@ -27,7 +27,7 @@ from dropo.estimators.support.standard_errors import (
 )
 from dropo.evaluation.held_out import held_out_errors
 from dropo.evaluation.identifiability import describe_not_identifiable, determined, null_directions
-from dropo.evaluation.likely_cause import likely_cause
+from dropo.evaluation.likely_cause import LikelyCause, likely_cause
 from dropo.evaluation.model_check import check_model
 
 
@@ -300,9 +300,11 @@ def _checked(
 ) -> Fit:
     """A fit with its check, and what its residuals look like where they speak against the model."""
     affordable = settings.trials * run.steps if check.passed else np.inf
-    with run.counting():
-        noise = np.asarray(fit.epsilon)
-        cause = likely_cause(problem, fit.mean, errors.jacobian, noise, affordable)
+    cause: LikelyCause | None = None
+    if check.structure is not None:  # else the residuals are rounding
+        with run.counting():
+            noise = np.asarray(fit.epsilon)
+            cause = likely_cause(problem, fit.mean, errors.jacobian, noise, affordable)
     said = list(check.sentences)
     if cause is not None and check.passed and cause.certain:
         said = [f"the model is wrong: {cause.sentence}"]
