@@ -306,10 +306,10 @@ def _checked(
             noise = np.asarray(fit.epsilon)
             cause = likely_cause(problem, fit.mean, errors.jacobian, noise, affordable)
     said = list(check.sentences)
-    if cause is not None and check.passed and cause.certain:
-        said = [f"the model is wrong: {cause.sentence}"]
+    if cause is not None and cause.certain:
+        said.append(f"the model is wrong: {cause.sentence}")
         check = replace(check, passed=False, sentences=tuple(said))
-    elif cause is not None and not check.passed and (cause.certain or cause.large):
+    elif cause is not None and not check.passed and cause.large:
         said.append(cause.sentence)
     return replace(fit, model_check=check, warnings=(*fit.warnings, *said))
 
