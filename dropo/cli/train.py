@@ -2,6 +2,7 @@
 
 import argparse
 import hashlib
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -246,9 +247,7 @@ def _record(arguments: argparse.Namespace, target: Any, algorithm: "Algorithm") 
     from dropo.problems.record import problem_record
     from dropo.training.train import settings
 
-    fit = None
-    if arguments.fit is not None:
-        fit = hashlib.sha256((arguments.fit / "fit.json").read_bytes()).hexdigest()
+    fit = None if arguments.fit is None else _sum_of_fit(arguments.fit)
     of_target = {"problem": arguments.problem}
     if isinstance(target, Problem):
         of_target = problem_record(target)
@@ -264,3 +263,10 @@ def _record(arguments: argparse.Namespace, target: Any, algorithm: "Algorithm") 
         "version": __version__,
         **of_target,
     }
+
+
+def _sum_of_fit(folder: Path) -> str:
+    """The checksum of a fit, but for how long it took: run again it is the same fit."""
+    content = json.loads((folder / "fit.json").read_bytes())
+    content.pop("wall_time_s", None)
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()

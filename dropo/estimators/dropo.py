@@ -52,7 +52,7 @@ from dropo.estimators.support.rough_starts import (
     search_settings,
     starts_are_rough,
 )
-from dropo.estimators.support.summary import summarize
+from dropo.estimators.support.summary import as_found, summarize
 from dropo.estimators.support.trust_region import MakeOptimizer, OuterIterations
 from dropo.estimators.support.whole_runs import (
     NOISY,
@@ -427,6 +427,8 @@ class DROPO(Estimator):
         rng: np.random.Generator,
     ) -> Fit:
         """The fit at a maximum of a local likelihood, with what simulations there say of it."""
+        run.best = as_found(problem, **self._of_maximum(family, objective, found))
+
         # Where nothing varies, the simulator itself has the last word on the means.
         constant = tuple(parameters_without_spread(family, objective, found.point))
         varying = [name for name in problem.space.names if name not in constant]
@@ -608,30 +610,10 @@ class DROPO(Estimator):
         **further: Any,
     ) -> Fit:
         """The fit at a maximum; further: what else `summarize` takes."""
-        is_local = isinstance(objective, LocalLogLikelihood)
-        default_optimizer = "fisher-scoring" if is_local else "cma-es"
-        names = {
-            "likelihood": self._likelihood_name,
-            "optimizer": self.optimizer or default_optimizer,
-        }
         with run.counting():
-            mean_prediction = objective.mean(found.point)
-        fit = summarize(
-            problem,
-            run,
-            method=self.name,
-            family=family,
-            family_name=self.family,
-            phi=found.point,
-            epsilon=objective.epsilon(found.point),
-            log_likelihood=found.value,
-            mean_prediction=mean_prediction,
-            status=found.status,
-            message=found.reason,
-            objective=objective,
-            memory=self.memory,
-            **(names | further),
-        )
+            of_maximum = self._of_maximum(family, objective, found)
+        given = {**of_maximum, "objective": objective, "memory": self.memory, **further}
+        fit = summarize(problem, run, **given)
 
         # Do the groups of recordings spread as the family says? Only these likelihoods can tell.
         fits_the_spread = fit.likelihood in ("emulated", "random-effects")
@@ -642,6 +624,25 @@ class DROPO(Estimator):
         rng = run.rng.spawn(1)[0]
         warnings = family_warnings(problem, family, objective, found.point, fit, rng)
         return replace(fit, warnings=(*fit.warnings, *warnings))
+
+    def _of_maximum(
+        self, family: Family, objective: LogLikelihood, found: SearchResult
+    ) -> dict[str, Any]:
+        """What of a fit is known where its search ends."""
+        is_local = isinstance(objective, LocalLogLikelihood)
+        return {
+            "method": self.name,
+            "family": family,
+            "family_name": self.family,
+            "phi": found.point,
+            "epsilon": objective.epsilon(found.point),
+            "log_likelihood": found.value,
+            "mean_prediction": objective.mean(found.point),
+            "status": found.status,
+            "message": found.reason,
+            "likelihood": self._likelihood_name,
+            "optimizer": self.optimizer or ("fisher-scoring" if is_local else "cma-es"),
+        }
 
 
 def first_member(family: Family, unknowns: ParameterSpace, mean: Array) -> Array:

@@ -255,6 +255,7 @@ class Posterior(Estimator):
         mean = given_start(self.start, problem.space)
         if mean is None:
             found = find("methods", "least-squares")()._fit(replace(problem, priors={}), run)
+            run.best = None  # of another method
             mean = found.mean
             if self._of_parameters:
                 spread[:d] = _unit_width(problem.space, mean, found.mean_se)

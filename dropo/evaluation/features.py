@@ -69,11 +69,16 @@ def features_of(
     if among is None:
         among = np.arange(len(predicted))
     state, state_names, rows = _states(problem, predicted, among)
-    action, before = _commands(segments, rows)
+    action, before, change = _commands(segments, rows)
     count = action.shape[1]
     names = [f"action[{i}]" for i in range(count)] if count > 1 else ["action"] * count
-    base = np.concatenate([state, action, before], axis=1)
-    base_names = [*state_names, *names, *(f"the previous {name}" for name in names)]
+    base = np.concatenate([state, action, before, change], axis=1)
+    base_names = [
+        *state_names,
+        *names,
+        *(f"the previous {name}" for name in names),
+        *(f"the change of {name}" for name in names),
+    ]
     base, base_names = _moving(base, base_names)
     columns = [np.ones((len(rows), 1))]
     labels = ["a constant"]
@@ -108,8 +113,10 @@ def _states(problem: Problem, predicted: Array, among: Ints) -> tuple[Array, lis
     return state, names, rows
 
 
-def _commands(segments: Segments, rows: Ints) -> tuple[Array, Array]:
-    """(n, q) the mean action from a segment's start to each row, and the action before it."""
+def _commands(segments: Segments, rows: Ints) -> tuple[Array, Array, Array]:
+    """(n, q) the mean action from a segment's start to each row, the action before it, and how far
+    the row's action is from that.
+    """
     segment = segments.rows[0][rows]
     step = segments.rows[1][rows]
     total = np.cumsum(segments.actions, axis=1)[segment, step]
@@ -117,7 +124,8 @@ def _commands(segments: Segments, rows: Ints) -> tuple[Array, Array]:
     trajectory = segments.trajectories.trajectory
     same = (first > 0) & (trajectory[first - 1] == trajectory[first])
     earlier = np.where(same, first - 1, first)
-    return total / (step + 1)[:, None], segments.trajectories.actions[earlier[segment]]
+    before = segments.trajectories.actions[earlier[segment]]
+    return total / (step + 1)[:, None], before, segments.actions[segment, step] - before
 
 
 def _moving(values: Array, names: list[str]) -> tuple[Array, list[str]]:

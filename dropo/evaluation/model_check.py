@@ -14,7 +14,7 @@ from dropo.core.numerics.robust_statistics import deviation
 from dropo.core.numerics.tails import normal_tail, student_tail
 from dropo.core.records.fits.fit_parts import ModelCheck, ResidualSize, ResidualStructure
 from dropo.core.records.independent_units import units_of
-from dropo.core.records.trajectories import Ints
+from dropo.core.records.trajectories import Ints, Segments
 from dropo.core.services.validation import Array
 from dropo.evaluation.features import Features, features_of
 from dropo.evaluation.residual_tests import (
@@ -170,17 +170,14 @@ def check_model(
     sentences += _lost_motion(problem, residual, targets, settings)
     if unexplained is not None:
         residual, jacobian = unexplained
-    # Residuals that are only rounding are no evidence of anything.
     scale = np.sqrt(np.mean(residual**2, axis=0))
-    rounding = settings.rounding * np.std(targets, axis=0)
-    least = np.maximum(rounding, settings.faint * np.sqrt(epsilon))
-    evident = scale > least
+    evident = evident_signals(residual, targets, epsilon, settings)
     if evident.any():
         unit = np.where(evident, scale, 1.0)
         signals = zip(problem.simulator.signals, evident, strict=True)
         names = [signal.name for signal, kept in signals if kept]
         slopes = _Slopes(jacobian, unit, evident, names)
-        group = _groups(problem, residual.shape[1], jacobian.shape[2])
+        group = groups_with_draws(problem.segments, residual.shape[1], jacobian.shape[2])
         rest = _without_draws((residual / unit)[:, evident], slopes, group)
         # The noise that was stated, where another one was fitted; that of starts is carried along.
         if problem.epsilon is not None and learned and not problem.start_noise:
@@ -252,11 +249,45 @@ def _noise(
     return [f"{wrong}: residuals of {names[worst]} are {times}"]
 
 
-def _groups(problem: Problem, p: int, d: int) -> Ints:
-    """(R,) the groups that may each have parameters of their own: the data's, where they have
-    numbers enough, else one.
+def evident_signals(
+    residual: Array, targets: Array, epsilon: Array, settings: ModelCheckSettings = SETTINGS
+) -> NDArray[np.bool_]:
+    """Find the signals whose residuals are evidence: neither rounding nor far below the noise.
+
+    Parameters
+    ----------
+    residual, targets : (R, p) array
+        In the signals' units.
+    epsilon : (p,) array
+        The fit's noise variances.
+    settings : ModelCheckSettings
+        What is no evidence.
+
+    Returns
+    -------
+    (p,) array of bool
     """
-    own = problem.segments.group[problem.segments.rows[0]]
+    rounding = settings.rounding * np.std(targets, axis=0)
+    least = np.maximum(rounding, settings.faint * np.sqrt(epsilon))
+    return np.asarray(np.sqrt(np.mean(residual**2, axis=0)) > least)
+
+
+def groups_with_draws(segments: Segments, p: int, d: int) -> Ints:
+    """Find the groups that may each have parameters of their own.
+
+    Parameters
+    ----------
+    segments : Segments
+        With R compared rows.
+    p, d : int
+        Numbers of signals and of parameters.
+
+    Returns
+    -------
+    (R,) array of int
+        Their labels: the data's groups where these have numbers enough, else one.
+    """
+    own = segments.group[segments.rows[0]]
     group = np.unique(own, return_inverse=True)[1]
     return group if np.median(np.bincount(group)) * p >= 4 * d else np.zeros_like(group)
 
@@ -395,13 +426,23 @@ def _scores(left: _StandardizedResiduals, features: Features, own_fraction: floa
         product = rest[:, j, None] * named
         for rows in blocks:
             product[rows] -= np.einsum("rd,rdf->rf", along[rows], fitted[left.group[rows]])
-        out[j] = np.where(own > own_fraction, _score_of_sum(product, left.units), 0.0)
+        out[j] = np.where(own > own_fraction, score_of_sum(product, left.units), 0.0)
     return out
 
 
-def _score_of_sum(values: Array, units: Units) -> Array:
-    """(k,) normal scores of the t-tests that the columns of rows (R, k) sum to 0 over independent
-    units.
+def score_of_sum(values: Array, units: Units) -> Array:
+    """Return the normal scores of t-tests that columns sum to 0 over independent units.
+
+    Parameters
+    ----------
+    values : (R, k) array
+        The columns.
+    units : Units
+        Of the R rows.
+
+    Returns
+    -------
+    (k,) array
     """
     if units.serial:
         variance, degrees = variance_of_sum(values - values.mean(axis=0), units)

@@ -121,13 +121,14 @@ def write_import(
     for rows in record["runs"].values():
         rows["log"] = way_to(rows["log"], out.parent)
     with ExitStack() as stack:
-        names = (out.name, PROBLEM, RECORD, *files)
+        # The record appears first, so that no file is there of which it does not know.
+        names = (out.name, PROBLEM, *files, RECORD)
         parts = [stack.enter_context(atomic_write(out.parent / name)) for name in names]
         write_npz(parts[0], found.arrays)
         write_text(parts[1], problem)
-        write_json(parts[2], record)
-        for part, text in zip(parts[3:], files.values(), strict=True):
+        for part, text in zip(parts[2:-1], files.values(), strict=True):
             write_text(part, text)
+        write_json(parts[-1], record)
 
 
 def _problem_text(

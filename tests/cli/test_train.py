@@ -111,7 +111,9 @@ def test_trains_saves_and_evaluates(trained, tmp_path, capsys):
 
 
 def test_goes_on_after_an_interruption(trained, tmp_path, capsys, monkeypatch):
-    """To the same file; another run's folder is refused and left as it is."""
+    """To the same file, also where the fit was made again in another time; another run's folder is
+    refused and left as it is.
+    """
     assert main([*arguments(trained, "whole", 6), "--quiet"]) == 0
     from dropo.training.ars import ARS
 
@@ -127,6 +129,10 @@ def test_goes_on_after_an_interruption(trained, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(ARS, "_update", interrupted)
     assert main([*arguments(trained, "parts", 6), "--quiet"]) == 1
     assert capsys.readouterr().err == "dropo: Interrupted: the same command goes on from here.\n"
+    fit = tmp_path / "fit" / "fit.json"
+    again = json.loads(fit.read_text())
+    again["wall_time_s"] += 1.0
+    fit.write_text(json.dumps(again))
     assert main([*arguments(trained, "parts", 6), "--quiet"]) == 0
     assert len(calls) == 4 + 3
     assert (tmp_path / "parts" / "policy.json").read_bytes() == (

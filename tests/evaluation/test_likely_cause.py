@@ -36,6 +36,20 @@ def test_what_is_hidden_is_what_they_look_like(hidden):
     assert size == pytest.approx(float(hidden.split("=")[1]), rel=0.5)
 
 
+@pytest.mark.parametrize(
+    ("hidden", "said"),
+    [
+        ("actuator_delay=0.001", "actuator delay of all commands, delay about 0.00"),
+        ("joint_friction:elbow=0.003", "joint friction at elbow, frictionloss about 0.00"),
+    ],
+)
+def test_what_is_small_is_told_too(hidden, said):
+    """A tenth of the above: the model is wrong, by the response to the effect itself."""
+    fit = fitted(hide("torque-arm", [hidden], seed=3, threads=1))
+    assert fit.trusted is False
+    assert any(said in text for text in fit.warnings)
+
+
 def test_a_right_model_looks_like_nothing():
     """Nothing is said where nothing speaks against the model."""
     fit = fitted(load("torque-arm", threads=1))
@@ -56,11 +70,11 @@ def test_a_free_body_has_no_such_effects():
     data = Trajectories(rest, np.zeros((20, 0)), rest + 0.01, np.arange(20) == 19)
     problem = Problem("thrown", simulator, data)
     jacobian = np.ones((len(problem.segments), len(simulator.signals), 1))
-    assert likely_cause(problem, np.array([1.0]), jacobian) is None
+    assert likely_cause(problem, np.array([1.0]), jacobian, np.ones(len(simulator.signals))) is None
 
 
 def test_a_simulator_without_a_robot_has_no_effects():
     """The sliding block in closed form."""
     problem = slide()
     jacobian = np.ones((len(problem.segments), len(problem.simulator.signals), 2))
-    assert likely_cause(problem, np.array([1.5, 0.8]), jacobian) is None
+    assert likely_cause(problem, np.array([1.5, 0.8]), jacobian, np.ones(2)) is None

@@ -301,3 +301,24 @@ def test_a_tossed_box(tmp_path: Path) -> None:
     (tmp_path / "log.csv").write_text("\n".join(lines).replace("box_quat", "box_spin") + "\n")
     with pytest.raises(BadFile, match="expected columns that name the positions of the joints box"):
         init(tmp_path / "box.xml", tmp_path / "log.csv", tmp_path / "again")
+
+
+def test_what_a_kill_leaves_is_no_edit(example: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever of a new folder's files stand in their places, the same call makes it whole."""
+    replace = Path.replace
+    done: list[Path] = []
+
+    def killed(self: Path, target: Path) -> Path:
+        if done and self.parent.name == "out":
+            raise KeyboardInterrupt
+        if target.name in ("data.npz", "problem.yaml", "import.json", "map.yaml"):
+            done.append(target)
+        return replace(self, target)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "replace", killed)
+        with pytest.raises(KeyboardInterrupt):
+            init(example / "arm.xml", logs(example), example / "out")
+    assert len(list((example / "out").iterdir())) == 1
+    init(example / "arm.xml", logs(example), example / "out")
+    assert load(example / "out" / "problem.yaml").trajectories

@@ -12,13 +12,17 @@ from threadpoolctl import threadpool_limits
 
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import Simulator
-from dropo.core.records.fits.fit import Fit
+from dropo.core.records.fits.fit import Fit, Status
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.files.evaluation_log import EvaluationLog
 from dropo.core.services.validation import Array, check_shape, require
 
 Progress = Callable[[float, str], None]
 """Is called with the fraction of the work that is done, 0 to 1, and a text."""
+
+
+CUT_SHORT = "Interrupted at the end: errors and checks that are missing were not reached."
+"""Behind the message of a fit whose search had ended."""
 
 
 def silent(fraction: float, text: str) -> None:
@@ -78,6 +82,8 @@ class Run:
         Evaluations of the objective so far.
     inner_evaluations : int
         Evaluations so far of local models of the objective, which simulate nothing.
+    best : Fit or None
+        What a search that has ended is worth while its errors and checks are still computed.
     """
 
     problem: Problem
@@ -88,6 +94,7 @@ class Run:
     failures: int = 0
     evaluations: int = 0
     inner_evaluations: int = 0
+    best: Fit | None = None
 
     def evaluate(self, points: Array, function: Callable[[Array], Array]) -> Array:
         """Evaluate a function, or read its recorded values, and count what it costs.
@@ -211,7 +218,7 @@ class Estimator(ABC):
         )
         # The simulator's threads use the cores; small matrix products gain nothing from more.
         with threadpool_limits(1, user_api="blas"):
-            fit = self._fit(problem, run)
+            fit = self.fit_part(problem, run)
         self._check_numbers(fit)
         seed = int(rng) if isinstance(rng, int | np.integer) else None
         return replace(
@@ -224,6 +231,28 @@ class Estimator(ABC):
             inner_evaluations=run.inner_evaluations,
             source=problem.source,
         )
+
+    def fit_part(self, problem: Problem, run: Run) -> Fit:
+        """Fit within a run that another method may have begun.
+
+        Parameters
+        ----------
+        problem : Problem
+        run : Run
+            Whose cost and evaluation log are shared.
+
+        Returns
+        -------
+        Fit
+            Without its cost. Interrupted after its search had ended, it is `run.best`.
+        """
+        try:
+            return self._fit(problem, run)
+        except KeyboardInterrupt:
+            if run.best is None:
+                raise
+            message = f"{run.best.message} {CUT_SHORT}"
+            return replace(run.best, status=Status.INTERRUPTED, message=message)
 
     def _check_numbers(self, fit: Fit) -> None:
         """Refuse a fit whose means, spreads or member of the family are no numbers."""

@@ -159,6 +159,7 @@ class AroundMaximum:
         )
         # Draws have the priors; the likelihood is built where the data alone are best.
         found: Fit = estimator._fit(replace(self.problem, priors={}), self.run)
+        self.run.best = None  # of another method
         return found
 
     def _build(self) -> Local:

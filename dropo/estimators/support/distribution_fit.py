@@ -40,6 +40,7 @@ def evaluate_fit(problem: Problem, run: Run, fit: Fit, draws: int, rng: np.rando
         With log-likelihood, mean squared error and held-out errors. The noise variance is the
         problem's own, else that of what the draws' mean leaves.
     """
+    run.best = fit
     targets = problem.simulator.targets(problem.segments)
     with run.counting(evaluations=1):
         predictions = problem.simulator.predict(fit.sample(draws, rng), problem.segments)
@@ -153,6 +154,7 @@ def posterior_fit(
         search_record=search_record,
         warnings=(*warnings, *at_bounds(family.unknowns, phi)),
     )
+    run.best = fit
     return with_model_check(problem, run, replace(fit, **_of_every_fit(problem, run, fit)))
 
 

@@ -84,7 +84,10 @@ def family_warnings(
         name = "full" if has_correlations else "truncated_gaussian"
         population = find("families", name)(problem.space)
         segments = problem.segments.take(problem.segments.thin(settings.segments))
-        width = np.maximum(fit.sd, settings.width * (problem.space.high - problem.space.low))
+        # A scale of 0 has no slope to begin with: the spread that the mean's error leaves room for.
+        room = np.nan_to_num(fit.mean_se * np.sqrt(len(np.unique(segments.group))))
+        sd = np.maximum(fit.sd, room)
+        width = np.maximum(sd, settings.width * (problem.space.high - problem.space.low))
         grouped = find("likelihoods", "random-effects")().linearize_at(
             _LocalModel(problem, objective),
             segments,
@@ -94,7 +97,7 @@ def family_warnings(
             width,
             rng.spawn(1)[0],
         )
-        start = population.phi(fit.mean, fit.sd)
+        start = population.phi(fit.mean, sd)
         phi = maximize_locally(grouped, grouped.unknowns.clip(start)).phi
     member = phi[: len(population.unknowns)]
     sd = population.sd(member)

@@ -159,14 +159,24 @@ def _with_prior(
     """Passes with normal priors of the prior's own slope where the pass before ended."""
     evaluations = 0
     normal = prior.as_normal(start)
+    found: PointEstimate | None = None
     for _ in range(settings.passes):
-        found = _solve(problem, run, variances, start, budget, step, prior.within, normal)
+        try:
+            found = _solve(problem, run, variances, start, budget, step, prior.within, normal)
+        except InterruptedEstimate:
+            raise
+        except KeyboardInterrupt:  # before the first point of this pass
+            if found is None:
+                raise
+            message = interrupted(evaluations)
+            raise InterruptedEstimate(replace(found, message=message)) from None
         evaluations += found.evaluations
         start = found.value
         last, normal = normal, prior.as_normal(start)
         moved = np.abs(normal[0] - last[0]) * np.sqrt(normal[1])
         if np.all((moved < settings.settled) | (normal[1] == 0)):
             break
+    assert found is not None
     return replace(found, evaluations=evaluations)
 
 

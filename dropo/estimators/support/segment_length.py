@@ -172,7 +172,7 @@ class ChooseHorizon(Estimator):
             run.progress(done + own * fraction, f"{what}: {text}")
 
         inner = Run(problem, np.random.default_rng(seed), run.evaluation_log, show)
-        fit = self.estimator._fit(problem, inner)
+        fit = self.estimator.fit_part(problem, inner)
         run.steps = run.steps + inner.steps
         run.failures = run.failures + inner.failures
         run.evaluations = run.evaluations + inner.evaluations

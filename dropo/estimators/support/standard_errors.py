@@ -12,8 +12,9 @@ from dropo.core.contracts.support.mean_prior import MeanPrior, mean_places
 from dropo.core.numerics.dependence import Units, independent, unit_sums
 from dropo.core.numerics.kept_rows import MEMORY, KeptRows, MemorySettings, keep_rows, row_blocks
 from dropo.core.numerics.linear_gaussian import information_of_units, scores_and_information
-from dropo.core.numerics.robust_covariance import inverse_information, sandwich
+from dropo.core.numerics.robust_covariance import SINGULAR, inverse_information, sandwich
 from dropo.core.numerics.shared_draws import pairs_of, score_covariances
+from dropo.core.records.fits.fit import variance_errors
 from dropo.core.records.independent_units import units_of
 from dropo.core.records.parameters import ParameterSpace
 from dropo.core.records.trajectories import Ints
@@ -209,7 +210,8 @@ def _errors_with_step(
         scale = np.where(sd > 0, np.sqrt(variance[d:]) / (2 * sd), np.nan)
     scale[~(scale < sd)] = np.nan
     of_prior = _of_prior(prior, mean, np.arange(d), information, kept)
-    return StandardErrors(np.sqrt(variance[:d]), scale, degrees[:d], jacobian, prior=of_prior)
+    of_mean = np.hypot(np.sqrt(variance[:d]), rounding_errors(problem, jacobian, known))
+    return StandardErrors(of_mean, scale, degrees[:d], jacobian, prior=of_prior)
 
 
 def local_standard_errors(
@@ -275,6 +277,8 @@ def local_standard_errors(
         least = _with_shared_draws(problem, family, objective, phi, free, scores, jacobian, units)
         covariance = _at_least(covariance, least)
     errors[free] = np.sqrt(np.diagonal(covariance))
+    noise = np.maximum(objective.epsilon(phi), rounding(problem))
+    errors[means] = np.hypot(errors[means], rounding_errors(problem, jacobian, noise))
     of_prior = _of_prior(prior, family.mean(phi[:own]), means, information, free)
 
     scale, variance = _of_spreads(family, objective, phi, errors, units, settings)
@@ -311,8 +315,7 @@ def _of_spreads(
         if f"scale.{name}" in names:
             scale[i] = errors[names.index(f"scale.{name}")]
     size = family.scale(own)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        variance = 2 * family.sd(own) ** 2 * scale / size
+    variance = variance_errors(family.sd(own), size, scale)
     mean_se = errors[mean_places(objective, family.space)]
     none = _variances_of_none(family, objective, phi, mean_se, units, settings)
     scale[~(scale < size)] = np.nan
@@ -562,6 +565,45 @@ def rounding(problem: Problem) -> Array:
     """
     size = np.mean(problem.segments.targets**2)
     return np.maximum(1e-24 * size, 1e-60) * np.ones(len(problem.simulator.signals))
+
+
+def rounding_errors(problem: Problem, jacobian: KeptRows, noise: Array) -> Array:
+    """Find the errors of means that the arithmetic of simulations leaves without any noise.
+
+    How far each signal moves within a segment has a relative error of float64's precision, of which
+    a part is the same in all rows: products of constants are rounded alike everywhere. No residual
+    shows that part, since it moves the estimate.
+
+    Parameters
+    ----------
+    problem : Problem
+    jacobian : (R, p, d) array, in memory or in a file
+        Of the predictions by the parameters.
+    noise : (p,) array
+        The variances whose inverses are the weights.
+
+    Returns
+    -------
+    (d,) array
+        In the parameters' units, signals taken for independent.
+    """
+    segments = problem.segments
+    moved = np.asarray(problem.simulator.targets(segments))
+    if segments.starts.shape[1] == moved.shape[1]:
+        moved = moved - segments.starts[segments.rows[0]]
+    rows, p, d = jacobian.shape
+    information = np.zeros((d, d))
+    scores = np.zeros((d, p))
+    for block in row_blocks(rows, 16 * p * d):
+        own = np.asarray(jacobian[block])
+        weighted = own / noise[:, None]
+        information += np.tensordot(own, weighted, axes=((0, 1), (0, 1)))
+        scores += np.einsum("rpd,rp->dp", weighted, moved[block])
+    diagonal = np.diagonal(information)
+    size = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    inverse = np.linalg.pinv(information / np.outer(size, size), rcond=SINGULAR, hermitian=True)
+    by_signal = inverse @ (scores / size[:, None]) / size[:, None]
+    return np.asarray(np.finfo(float).eps * np.linalg.norm(by_signal, axis=1))
 
 
 def _inside(space: ParameterSpace, values: Array, edge: float) -> np.ndarray:

@@ -27,7 +27,7 @@ from dropo.estimators.support.standard_errors import (
 )
 from dropo.evaluation.held_out import held_out_errors
 from dropo.evaluation.identifiability import describe_not_identifiable, determined, null_directions
-from dropo.evaluation.likely_cause import likely_cause
+from dropo.evaluation.likely_cause import LikelyCause, likely_cause
 from dropo.evaluation.model_check import check_model
 
 
@@ -42,13 +42,97 @@ class SummarySettings:
         fit in 16,000.
     near : float
         An estimate is warned of that is nearer to its bound than this fraction of the interval.
+    trials : float
+        Usual effects are tried on a model that nothing else speaks against, for at most this
+        fraction of the steps that the fit took.
     """
 
     apart: float = 4.0
     near: float = 1e-3
+    trials: float = 0.1
 
 
 SETTINGS = SummarySettings()
+
+
+def as_found(
+    problem: Problem,
+    *,
+    method: str,
+    family: Family,
+    family_name: str,
+    phi: Array,
+    epsilon: Array,
+    log_likelihood: float,
+    mean_prediction: Array,
+    status: Status,
+    message: str,
+    warnings: Sequence[str] = (),
+    settings: SummarySettings = SETTINGS,
+    **further: Any,
+) -> Fit:
+    """Make the fit of a member of a family without errors and checks.
+
+    Parameters
+    ----------
+    problem : Problem
+    method, family_name : str
+        Their names.
+    family : Family
+    phi : (m,) array
+        The member; behind the family's own unknowns may stand the likelihood's.
+    epsilon : (p,) array
+        The noise variances [signal unit^2].
+    log_likelihood : float
+        Of all rows [nats].
+    mean_prediction : (R, p) array
+        Under the member.
+    status : Status
+        How the method ended.
+    message : str
+        The same in words.
+    warnings : sequence of str
+        What the method has to say against it.
+    settings : SummarySettings
+        What is warned of.
+    **further
+        Further fields of the fit.
+
+    Returns
+    -------
+    Fit
+        At no cost: it simulates nothing.
+    """
+    own = phi[: len(family.unknowns)]
+    unknown = np.full(len(problem.space), np.nan)
+    notes = (*problem.warnings, *warnings, *at_bounds(family.unknowns, own, settings))
+    misfit = mean_prediction - problem.simulator.targets(problem.segments)
+    return Fit(
+        method=method,
+        problem=problem.name,
+        space=problem.space,
+        family=family_name,
+        phi=own,
+        mean=family.mean(own),
+        scale=family.scale(own),
+        sd=family.sd(own),
+        mean_se=unknown,
+        scale_se=unknown,
+        degrees_of_freedom=unknown,
+        correlation=family.correlation(own),
+        epsilon=epsilon,
+        log_likelihood=log_likelihood,
+        mse=float(np.mean(misfit**2)),
+        transitions=int(problem.segments.lengths.sum()),
+        simulator_steps=0,
+        failed_simulations=0,
+        objective_evaluations=0,
+        status=status,
+        message=message,
+        warnings=notes,
+        truth=dict(problem.truth or {}),
+        **further,
+    )
 
 
 def summarize(
@@ -110,59 +194,49 @@ def summarize(
     -------
     Fit
         With standard errors, held-out errors, what the data do not determine, and whether the
-        model can be right. What it cost is filled in by `Estimator.fit`.
+        model can be right. What it cost is filled in by `Estimator.fit`; `run.best` is the fit as
+        far as it has come.
     """
-    own = phi[: len(family.unknowns)]
-    mean = family.mean(own)
-    notes = [*problem.warnings, *warnings, *at_bounds(family.unknowns, own, settings)]
-    unknown = np.full(len(mean), np.nan)
-    found: dict[str, Any] = {"mean_se": unknown, "scale_se": unknown, "degrees_of_freedom": unknown}
+    fit = as_found(
+        problem,
+        method=method,
+        family=family,
+        family_name=family_name,
+        phi=phi,
+        epsilon=epsilon,
+        log_likelihood=log_likelihood,
+        mean_prediction=mean_prediction,
+        status=status,
+        message=message,
+        warnings=warnings,
+        settings=settings,
+        **further,
+    )
+    mean = fit.mean
+    run.best = fit
+
     prior = MeanPrior(problem.priors, problem.space)
     try:
         errors = _standard_errors(
             problem, run, family, objective, phi, epsilon, weighted_by, prior, memory
         )
     except SimulationFailed as error:
-        notes.append(f"no standard errors: {error}")
+        fit = replace(fit, warnings=(*fit.warnings, f"no standard errors: {error}"))
     else:
         errors = with_common_errors(problem, run, mean, mean_prediction, epsilon, errors)
-        found = _with_errors(problem, mean, epsilon, errors, prior)
+        fit = replace(fit, **_with_errors(problem, mean, epsilon, errors, prior))
         if errors.prior is not None:
-            found["priors"] = _prior_use(problem, errors.prior)
-            notes += _against_priors(found["priors"], settings)
+            use = _prior_use(problem, errors.prior)
+            said = (*fit.warnings, *_against_priors(use, settings))
+            fit = replace(fit, priors=use, warnings=said)
+        run.best = fit
 
         # Whether the model can be right, where a search came to an end.
         if status in (Status.CONVERGED, Status.OUT_OF_BUDGET):
             check = _check_model(problem, family, objective, phi, mean_prediction, errors, epsilon)
-            found["model_check"] = check
-            notes += [*check.sentences, *_likely_cause(problem, run, mean, errors, check)]
-
-    misfit = mean_prediction - problem.simulator.targets(problem.segments)
-    return Fit(
-        method=method,
-        problem=problem.name,
-        space=problem.space,
-        family=family_name,
-        phi=own,
-        mean=mean,
-        scale=family.scale(own),
-        sd=family.sd(own),
-        correlation=family.correlation(own),
-        epsilon=epsilon,
-        log_likelihood=log_likelihood,
-        mse=float(np.mean(misfit**2)),
-        transitions=int(problem.segments.lengths.sum()),
-        simulator_steps=0,
-        failed_simulations=0,
-        objective_evaluations=0,
-        status=status,
-        message=message,
-        warnings=tuple(notes),
-        truth=dict(problem.truth or {}),
-        held_out=held_out_errors(problem, run, mean),
-        **found,
-        **further,
-    )
+            fit = _checked(problem, run, fit, errors, check)
+    run.best = fit
+    return replace(fit, held_out=held_out_errors(problem, run, mean))
 
 
 def _with_errors(
@@ -200,6 +274,7 @@ def with_model_check(problem: Problem, run: Run, fit: Fit) -> Fit:
         With the check, and what it says among the warnings. As it was where the search was
         interrupted, whose residuals are the search's too, or the simulation fails there.
     """
+    run.best = fit
     if fit.status is Status.INTERRUPTED:
         return fit
     try:
@@ -212,19 +287,31 @@ def with_model_check(problem: Problem, run: Run, fit: Fit) -> Fit:
     if not np.isfinite(predicted).all():
         return fit
     check = check_model(problem, predicted, errors.jacobian, noise)
-    said = [*check.sentences, *_likely_cause(problem, run, fit.mean, errors, check)]
+    return _checked(problem, run, fit, errors, check)
+
+
+def _checked(
+    problem: Problem,
+    run: Run,
+    fit: Fit,
+    errors: StandardErrors,
+    check: ModelCheck,
+    settings: SummarySettings = SETTINGS,
+) -> Fit:
+    """A fit with its check, and what its residuals look like where they speak against the model."""
+    affordable = settings.trials * run.steps if check.passed else np.inf
+    cause: LikelyCause | None = None
+    if check.structure is not None:  # else the residuals are rounding
+        with run.counting():
+            noise = np.asarray(fit.epsilon)
+            cause = likely_cause(problem, fit.mean, errors.jacobian, noise, affordable)
+    said = list(check.sentences)
+    if cause is not None and cause.certain:
+        said.append(f"the model is wrong: {cause.sentence}")
+        check = replace(check, passed=False, sentences=tuple(said))
+    elif cause is not None and not check.passed and cause.large:
+        said.append(cause.sentence)
     return replace(fit, model_check=check, warnings=(*fit.warnings, *said))
-
-
-def _likely_cause(
-    problem: Problem, run: Run, mean: Array, errors: StandardErrors, check: ModelCheck
-) -> list[str]:
-    """What the residuals look like, where they speak against the model."""
-    if check.passed:
-        return []
-    with run.counting():
-        sentence = likely_cause(problem, mean, errors.jacobian)
-    return [sentence] if sentence else []
 
 
 def _standard_errors(

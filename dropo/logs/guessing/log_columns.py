@@ -40,6 +40,7 @@ class LogColumns:
         self.used: set[ColumnName] = set()
         self._files: dict[str, FileBeside] = {}
         self._values: dict[ColumnName, Array] = {}
+        self._rows: dict[tuple[str | None, str | None], int] = {}
 
     def add_files(self, files: Sequence[FileBeside]) -> None:
         """Take in the columns of files beside the log.
@@ -105,8 +106,15 @@ class LogColumns:
             log = self.log if file is None else self._files[file].log
             found = self._read_table(log, topic, [column.column for column in of_source])
             for column in of_source:
-                self._values[column] = found[column.column]
-        return [self._values[column] for column in columns]
+                values = self._values[column] = found[column.column]
+                self._rows[file, topic] = max(self._rows.get((file, topic), 0), len(values))
+        return [self._whole(column) for column in columns]
+
+    def _whole(self, column: ColumnName) -> Array:
+        """The numbers of a column that was read; NaN in the rows of its table where it has none."""
+        values = self._values[column]
+        missing = self._rows[column.file, column.topic] - len(values)
+        return np.append(values, np.full(missing, np.nan)) if missing else values
 
     def _read_table(self, log: Log, topic: str | None, names: list[str]) -> dict[str, Array]:
         """Columns of a table as numbers; one that holds texts, too, has none."""

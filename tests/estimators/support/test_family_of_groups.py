@@ -36,6 +36,14 @@ def test_what_the_family_lacks_is_a_warning(method):
     assert not any("groups" in text for text in method().fit(pushes("alike", 0), rng=0).warnings)
 
 
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_spread_that_rows_do_not_show_is_no_excuse(seed):
+    """By rows without correlations, damping seems not to vary at all: its groups say otherwise."""
+    fit = DROPO().fit(pushes("correlated", seed), rng=0)
+    assert fit.sd[1] < 1e-3
+    assert any("are correlated between groups (+0.9" in text for text in fit.warnings)
+
+
 def test_a_family_with_correlations_is_not_blamed_for_them():
     """The same data, fitted with them: the correlation with its interval, and no warning; an
     interval of independent parameters is nowhere.

@@ -601,6 +601,20 @@ def test_a_column_of_texts_is_no_number(tmp_path: Path) -> None:
     assert columns_of(found, "qpos") == {"left_hip": "hip q", "left_knee": "knee q"}
 
 
+def test_a_given_column_with_one_text_is_no_number(tmp_path: Path) -> None:
+    """The commands beside it are taken all the same."""
+    lines = ["t,left_hip_pos,u"]
+    lines += [f"{TIME[i]:.6f},{HIP[i]:.6f},{GOALS[0][i]:.6f}" for i in range(400)]
+    lines[37] = lines[37].replace(",", ",&a", 1)
+    (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
+    given = {
+        "qpos": {"left_hip": {"column": "left_hip_pos", "unit": "rad"}},
+        "ctrl": {"hip_servo": {"column": "u"}},
+    }
+    found = guess_mapping(open_log(tmp_path / "log.csv"), robot(), given=given)
+    assert columns_of(found, "ctrl") == {"hip_servo": "u"}
+
+
 def test_commands_that_never_stand_beside_positions(tmp_path: Path) -> None:
     """Rows that hold the one or the other: how joints follow commands is then not known."""
     even = np.arange(len(TIME)) % 2 == 0

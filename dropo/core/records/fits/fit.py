@@ -55,6 +55,23 @@ def interrupted(done: int | None = None, of: str = "evaluations") -> str:
     return f"Interrupted{after}: this is the best so far."
 
 
+def variance_errors(sd: Array, scale: Array, scale_se: Array) -> Array:
+    """Find the standard errors of variances from those of a family's scales, to first order.
+
+    Parameters
+    ----------
+    sd, scale, scale_se : (d,) array
+        The distribution's standard deviations, the family's scales, and the errors of these.
+
+    Returns
+    -------
+    (d,) array
+        Not finite where a scale is 0.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(2 * sd**2 * scale_se / scale)
+
+
 @dataclass(frozen=True, repr=False, kw_only=True)
 class Fit(Report):
     """A distribution over the d parameters, and what it cost to find.
@@ -328,8 +345,7 @@ class Fit(Report):
 
     def _variance_errors(self) -> Array:
         """(d,) standard errors of the variances, NaN where there is none."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            of_scales = 2 * self.sd**2 * self.scale_se / self.scale
+        of_scales = variance_errors(self.sd, self.scale, self.scale_se)
         if self.variance_se is None:
             return of_scales
         return np.where(np.isfinite(self.variance_se), self.variance_se, of_scales)
