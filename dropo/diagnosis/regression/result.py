@@ -182,7 +182,8 @@ class QuickDiagnosis(Report):
         By the forces that are left on data held out.
     causes : tuple of Cause
         What is missing, the largest gain first; gains are in nats per row of the equation, errors
-        in fractions of the drives' forces.
+        in fractions of the drives' forces. The friction of contacts comes last: its gain is in nats
+        per simulated window, its errors in each signal's.
     faults : tuple of WiringFault
         Signs, units or names that are wrong; nothing else is looked for then.
     forces : tuple of JointForces
