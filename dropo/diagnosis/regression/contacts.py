@@ -38,8 +38,8 @@ class ContactSettings:
     factors : tuple of float
         On the model's friction, tried first.
     closer : int
-        Frictions tried between the neighbours of the best of them: contacts make jumps, and a slope
-        is that of many.
+        Frictions tried between the neighbours of the best of them, twice: contacts make jumps, and
+        a slope is that of many.
     degrees : float
         Degrees of freedom of the Student t by which errors count.
     block : float
@@ -52,7 +52,7 @@ class ContactSettings:
     windows: int = 250
     first: int = 60
     factors: tuple[float, ...] = (0.05, 0.15, 0.25, 0.4, 0.55, 0.7, 0.85, 1.0, 1.2, 1.5, 2.0, 3.0)
-    closer: int = 9
+    closer: int = 7
     degrees: float = 4.0
     block: float = 1.0
     folds: int = 5
@@ -179,14 +179,19 @@ class _FrictionSearch:
         return replace(short, se=float(np.hypot(error, long.size - short.size)))
 
     def _interval(self, segments: Segments) -> Array:
-        """Sizes (K,) between the neighbours of the best of the factors."""
-        sizes = np.array(self.settings.factors) - 1.0
+        """Sizes (K,) between the neighbours of the best, first of the factors, then of closer ones.
+
+        A slope that is not the same on both sides would else move the parabola.
+        """
         few = segments.take(segments.thin(self.settings.first))
-        errors = self._errors(few, sizes)
-        scale = _scale(errors[np.argmin(np.abs(sizes))])
-        best = int(np.argmin(self._losses(errors, scale).sum(axis=1)))
-        ends = sizes[[max(best - 1, 0), min(best + 1, len(sizes) - 1)]]
-        return np.linspace(*ends, self.settings.closer)
+        sizes = np.array(self.settings.factors) - 1.0
+        for _ in range(2):
+            errors = self._errors(few, sizes)
+            scale = _scale(errors[np.argmin(np.abs(sizes))])
+            best = int(np.argmin(self._losses(errors, scale).sum(axis=1)))
+            ends = sizes[[max(best - 1, 0), min(best + 1, len(sizes) - 1)]]
+            sizes = np.linspace(*ends, self.settings.closer)
+        return sizes
 
     def _between(self, near: Array, segments: Segments) -> FoundFriction:
         """The best size of an interval, and what it gains."""
