@@ -189,8 +189,9 @@ class _FrictionSearch:
             errors = self._errors(few, sizes)
             scale = _scale(errors[np.argmin(np.abs(sizes))])
             best = int(np.argmin(self._losses(errors, scale).sum(axis=1)))
-            ends = sizes[[max(best - 1, 0), min(best + 1, len(sizes) - 1)]]
-            sizes = np.linspace(*ends, self.settings.closer)
+            low = float(sizes[max(best - 1, 0)])
+            high = float(sizes[min(best + 1, len(sizes) - 1)])
+            sizes = np.linspace(low, high, self.settings.closer)
         return sizes
 
     def _between(self, near: Array, segments: Segments) -> FoundFriction:
