@@ -10,6 +10,7 @@ from dropo.core.services.files.atomic_write import write_json
 from dropo.core.services.tables import Report, Table, number
 from dropo.diagnosis.findings.to_type import typed_lines
 from dropo.diagnosis.parts import Cause
+from dropo.diagnosis.regression.contacts import EFFECT
 
 VERDICTS = {
     "consistent": "No force is missing that this log could show.",
@@ -233,7 +234,9 @@ class QuickDiagnosis(Report):
         if not count:
             return verdict
         noun = "number is" if count == 1 else "numbers are"
-        return f"{count} {noun} missing or wrong, by regression alone. {verdict}"
+        simulated = any(cause.effect == EFFECT for cause in self.causes)
+        how = "by regression and short simulations" if simulated else "by regression alone"
+        return f"{count} {noun} missing or wrong, {how}. {verdict}"
 
     def parts(self) -> list[str | Table]:
         """The headline, the causes, what to type into the model, and the forces."""
