@@ -44,6 +44,8 @@ class ContactSettings:
         Degrees of freedom of the Student t by which errors count.
     block : float
         Length of the blocks of time that errors are computed from [s].
+    blocks : int
+        Smallest number of blocks, where the runs are short.
     folds : int
         Parts of the blocks, each of which is held out once.
     """
@@ -55,6 +57,7 @@ class ContactSettings:
     closer: int = 7
     degrees: float = 4.0
     block: float = 1.0
+    blocks: int = 20
     folds: int = 5
 
 
@@ -203,7 +206,7 @@ class _FrictionSearch:
         nominal = losses[-1]
         losses = losses[:-1]
         curve = _Parabola(near)
-        blocks = _blocks(segments, self.simulator.control_step, self.settings.block)
+        blocks = _blocks(segments, self.simulator.control_step, self.settings)
         size, se = curve.minimum(losses, blocks)
         fold = blocks % self.settings.folds
         gains = np.zeros(len(nominal))
@@ -255,11 +258,13 @@ def _middle(errors: Array, scale: Array) -> float:
     return float(np.sqrt(np.mean(np.where(np.isfinite(middle), middle, 0.0) ** 2)))
 
 
-def _blocks(segments: Segments, step: float, length: float) -> Ints:
+def _blocks(segments: Segments, step: float, settings: ContactSettings) -> Ints:
     """(N,) the block of time in its run that each window belongs to, numbered from 0."""
-    begins = np.array([start for start, _ in segments.trajectories.spans])
+    spans = segments.trajectories.spans
+    total = sum(stop - start for start, stop in spans)
+    length = min(settings.block, total * step / settings.blocks)
     runs = np.asarray(segments.trajectory)
-    time = (segments.steps[:, 0] - begins[runs]) * step
+    time = (segments.steps[:, 0] - np.array(spans)[runs, 0]) * step
     pairs = np.stack([runs, np.floor(time / length).astype(np.int64)], axis=1)
     return np.asarray(np.unique(pairs, axis=0, return_inverse=True)[1].ravel())
 
