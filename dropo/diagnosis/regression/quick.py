@@ -1,7 +1,8 @@
 """A diagnosis by regression alone: what the forces of a log lack, in a second or two.
 
-Nothing is simulated, so what acts through the simulation alone (play, dead zones, lags, contacts)
-is not looked for, and what is found is a start for a search by simulation.
+Hardly anything is simulated, so what acts through the simulation alone (play, dead zones, lags) is
+not looked for, and what is found is a start for a search by simulation. Of a machine that touches
+the ground, short windows are simulated for the friction there.
 """
 
 import time
@@ -22,6 +23,12 @@ from dropo.diagnosis.findings.premises.still import still_sentences
 from dropo.diagnosis.findings.to_type import to_type
 from dropo.diagnosis.parts import Alternative, Cause, Estimate
 from dropo.diagnosis.regression.choice import BlockTables, ChoiceSettings, Chooser
+from dropo.diagnosis.regression.contacts import (
+    ContactSettings,
+    FoundFriction,
+    find_friction,
+    knows_starts,
+)
 from dropo.diagnosis.regression.equation import Equation, EquationSettings, equation_of
 from dropo.diagnosis.regression.fit import GAIN, FitSettings, Fitter, Solution, root_mean_square
 from dropo.diagnosis.regression.readings import sides
@@ -78,6 +85,8 @@ class QuickSettings:
     resimulation : ResimulationSettings
         When, and how, motions are simulated with the numbers found, to find them there again: what
         changes is part of their standard errors.
+    contacts : ContactSettings
+        How the friction of contacts is found, where the base is free.
     """
 
     checked: float = 0.2
@@ -94,6 +103,7 @@ class QuickSettings:
     fit: FitSettings = field(default_factory=FitSettings)
     choice: ChoiceSettings = field(default_factory=ChoiceSettings)
     resimulation: ResimulationSettings = field(default_factory=ResimulationSettings)
+    contacts: ContactSettings = field(default_factory=ContactSettings)
 
 
 @dataclass(frozen=True)
@@ -170,6 +180,10 @@ class QuickDiagnose:
             )
         forces = self._forces(problem, equation, estimate, bool(causes))
         extended = _extended(problem, estimate) if causes else problem
+        friction = None if faults or unknown else self._friction(extended, fitted, estimate)
+        if friction is not None:
+            causes.append(_cause_of(friction))
+            extended = _with_friction(extended, friction)
         return QuickDiagnosis(
             name=problem.name,
             verdict=self._verdict(causes, forces, bool(faults or unknown)),
@@ -210,6 +224,19 @@ class QuickDiagnose:
             )
         found.sort(key=lambda cause: -cause.held_out_gain)
         return found
+
+    def _friction(
+        self, extended: Problem, fitted: Trajectories, estimate: "Missing"
+    ) -> FoundFriction | None:
+        """The friction of contacts, where the base is free and another one than the model's."""
+        simulator = robot_of(extended)
+        if not estimate.fitter.equation.by_joint or not knows_starts(simulator):
+            return None
+        settings = self.settings
+        found = find_friction(
+            simulator.without_parameters(), fitted, settings.bias, settings.contacts
+        )
+        return found if found is not None and found.is_certain(settings.certain) else None
 
     def _forces(
         self, problem: Problem, equation: Equation, estimate: "Missing", found: bool
@@ -786,6 +813,31 @@ def _extended(problem: Problem, estimate: Missing) -> Problem:
     return replace(problem, simulator=simulator.with_effects((), fixed))
 
 
+def _cause_of(friction: FoundFriction) -> Cause:
+    """The friction of contacts as a cause."""
+    instance = friction.instance
+    z = abs(friction.size) / max(friction.se, 1e-300)
+    return Cause(
+        effect=instance.effect,
+        target=instance.target,
+        variant=instance.variant,
+        estimate={
+            instance.quantities[0].name: Estimate(friction.size, friction.se, "1", 1.0),
+        },
+        p_value=float(min(1.0, 2 * student_tail(z, max(friction.blocks - 1, 1)))),
+        held_out_gain=friction.gain,
+        held_out_gain_se=friction.gain_se,
+        rmse_before=friction.before,
+        rmse_after=friction.after,
+    )
+
+
+def _with_friction(problem: Problem, friction: FoundFriction) -> Problem:
+    """The problem with the friction of contacts that was found."""
+    fixed = [(friction.instance, np.array([friction.size]))]
+    return replace(problem, simulator=robot_of(problem).with_effects((), fixed))
+
+
 def _magnitudes(instance: EffectInstance, estimate: Mapping[str, Estimate]) -> Array:
     """(q,) the magnitudes of an effect; 0 of what was not estimated.
 
@@ -809,9 +861,10 @@ def _warnings(simulator: RobotSimulator, estimate: Missing) -> list[str]:
         if not (written or instance.command or instance.actuation):
             found.append(f"{instance.label} of the simulator is not known to the regression.")
     if estimate.fitter.equation.by_joint:
+        looked_for = "" if knows_starts(simulator) else ", without velocities their friction too"
         found.append(
             "The base is free: contact forces are unknown and projected out, and what they alone "
-            "show, as the ground's friction, is not looked for; a fit of geom_friction finds that."
+            f"show, as how soft the ground is, is not looked for{looked_for}."
         )
     driven = estimate.fitter.equation.driven
     for joint in joints(simulator.model):

@@ -10,6 +10,7 @@ from dropo.core.services.files.atomic_write import write_json
 from dropo.core.services.tables import Report, Table, number
 from dropo.diagnosis.findings.to_type import typed_lines
 from dropo.diagnosis.parts import Cause
+from dropo.diagnosis.regression.contacts import EFFECT
 
 VERDICTS = {
     "consistent": "No force is missing that this log could show.",
@@ -182,7 +183,8 @@ class QuickDiagnosis(Report):
         By the forces that are left on data held out.
     causes : tuple of Cause
         What is missing, the largest gain first; gains are in nats per row of the equation, errors
-        in fractions of the drives' forces.
+        in fractions of the drives' forces. The friction of contacts comes last: its gain is in nats
+        per simulated window, its errors in each signal's.
     faults : tuple of WiringFault
         Signs, units or names that are wrong; nothing else is looked for then.
     forces : tuple of JointForces
@@ -232,7 +234,9 @@ class QuickDiagnosis(Report):
         if not count:
             return verdict
         noun = "number is" if count == 1 else "numbers are"
-        return f"{count} {noun} missing or wrong, by regression alone. {verdict}"
+        simulated = any(cause.effect == EFFECT for cause in self.causes)
+        how = "by regression and short simulations" if simulated else "by regression alone"
+        return f"{count} {noun} missing or wrong, {how}. {verdict}"
 
     def parts(self) -> list[str | Table]:
         """The headline, the causes, what to type into the model, and the forces."""

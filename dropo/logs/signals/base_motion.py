@@ -77,6 +77,8 @@ class BaseMotionSettings:
         A bias of so many standard deviations says that the IMU is turned in its mount.
     sampled : int
         Instants whose errors are computed.
+    more : float
+        Another solution is better if so many more feet stand at an instant, on average.
     shared : float
         Errors of neighbouring instants are alike; those of the smoother, which takes them for
         independent, are so many times as large.
@@ -103,6 +105,7 @@ class BaseMotionSettings:
     least_standing: float = 0.5
     largest_bias: float = 3.0
     sampled: int = 20
+    more: float = 0.1
     shared: float = 3.0
     common: float = 0.5
 
@@ -153,6 +156,8 @@ class BaseMotion:
         The fraction of the instants at which a foot stands.
     bias : (6,) array
         Of the gyro [rad/s] and the accelerometer [m/s^2], in the base's axes.
+    footholds : float
+        How many feet stand, the mean over the instants: at rest, and at the height of the ground.
     """
 
     positions: Array
@@ -161,6 +166,7 @@ class BaseMotion:
     velocity_sd: Array
     standing: float
     bias: Array
+    footholds: float
 
 
 def imu_of(
@@ -205,6 +211,7 @@ def estimate_base(
     joint_noise: float,
     imu: Imu,
     settings: BaseMotionSettings = DEFAULTS,
+    bias: Array | None = None,
 ) -> BaseMotion:
     """Estimate the motion of a free base whose machine stands and walks on a level ground.
 
@@ -222,12 +229,29 @@ def estimate_base(
         What was measured then.
     settings : BaseMotionSettings, optional
         How.
+    bias : (6,) array, optional
+        Of the IMU, where the rounds begin; by default 0, and beyond what is found where that is
+        more than usual.
 
     Returns
     -------
     BaseMotion
     """
-    search = _Smoother(robot, time, positions, velocities, joint_noise, imu, settings)
+    given = (robot, time, positions, velocities, joint_noise, imu, settings)
+    found = _solved(_Smoother(*given, np.zeros(BIASES) if bias is None else bias))
+    while bias is None and np.any(np.abs(found.bias[3:]) > settings.acceleration_bias):
+        # An IMU that is askew puts feet so high that they count as flying: some are found again
+        # from a bias that is larger than the one at which the others stop.
+        beyond = _solved(_Smoother(*given, 2 * found.bias))
+        if beyond.footholds <= found.footholds + settings.more:
+            break
+        found = beyond
+    return found
+
+
+def _solved(search: "_Smoother") -> BaseMotion:
+    """The motion after all rounds."""
+    settings = search.settings
     for turn in range(settings.rounds):
         moved = search.improve(turn)
         if turn > settings.rough_rounds and moved < settings.settled:
@@ -247,6 +271,7 @@ class _Smoother:
         joint_noise: float,
         imu: Imu,
         settings: BaseMotionSettings,
+        bias: Array,
     ):
         from scipy.spatial.transform import Rotation  # slow to import
 
@@ -265,7 +290,7 @@ class _Smoother:
                 np.full(3, settings.path),
             ]
         )
-        self.bias = np.zeros(BIASES)
+        self.bias = bias
         self.sinking = settings.rough
         self.turns = self._first_turns()
         self.velocity = np.zeros((len(time), 3))
@@ -277,13 +302,14 @@ class _Smoother:
 
     def _first_turns(self) -> Any:
         """The gyro added up, from where the accelerometer points up on average."""
-        middle = 0.5 * (self.imu.turning[1:] + self.imu.turning[:-1]) * self.steps
+        middle = 0.5 * (self.imu.turning[1:] + self.imu.turning[:-1]) - self.bias[:3]
+        middle = middle * self.steps
         steps = self.rotation.from_rotvec(middle)
         turns = [self.rotation.identity()]
         for step in steps:
             turns.append(turns[-1] * step)
         added = self.rotation.concatenate(turns)
-        up = added.apply(self.imu.acceleration).mean(axis=0)
+        up = added.apply(self.imu.acceleration - self.bias[3:]).mean(axis=0)
         upright, _ = self.rotation.align_vectors([[0, 0, 1.0]], [up / np.linalg.norm(up)])
         return upright * added
 
@@ -416,7 +442,17 @@ class _Smoother:
             velocity_sd,
             standing,
             self.bias,
+            self._footholds(matrix, speeds),
         )
+
+    def _footholds(self, matrix: Array, speeds: Array) -> float:
+        """How many feet stand still and on the ground at an instant, on average."""
+        settings = self.settings
+        _, _, places = self._foot_speeds(matrix)
+        heights = self.place[:, None, 2] + places[:, :, 2]
+        slips = np.sum(speeds**2, axis=2) / self.slip**2
+        sinks = (heights / settings.sinking) ** 2
+        return float(np.mean(np.sum(slips + sinks < settings.standing**2, axis=1)))
 
     def _errors(self, unsteady: float) -> tuple[Array, Array]:
         """(6,) of place and rotation and (6,) of velocities, the steadiest feet being so fast."""

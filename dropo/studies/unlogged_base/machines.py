@@ -57,13 +57,17 @@ class Hidden:
         return replace(walk, imu=True, late=self.late, tilt=self.tilt)
 
 
-HEAVY = ('mass="5.2"', 'mass="6.2"')
+TRUNK = '<site name="imu" pos="0.02 0 0.01"/>'
+LOAD = (
+    '<geom type="box" size="0.06 0.04 0.03" pos="0.05 0 0.08" mass="1" contype="0"'
+    ' conaffinity="0"/>'
+)
 FITTED = Hidden((('mass="5.2"', 'mass="6.5"'), ('friction="0.7 ', 'friction="0.5 ')))
 """The machine whose trunk mass and ground friction are fitted."""
 TRUTH = {"trunk": 6.5, "floor": 0.5}
 """These numbers [kg, 1]."""
 HIDDEN = {
-    "1 kg at the trunk": Hidden((HEAVY,), cause=("payload", "trunk"), size=1.0),
+    "1 kg on the trunk": Hidden(((TRUNK, f"{TRUNK}{LOAD}"),), cause=("payload", "trunk"), size=1.0),
     "70 % of a knee's servo": Hidden(
         ((MOTOR, MOTOR.replace("/>", ' kp="42" kv="0.7"/>')),),
         cause=("actuator_gain", "FR_knee"),
@@ -76,7 +80,9 @@ HIDDEN = {
     ),
     "commands 4 ms late": Hidden(late=0.004, cause=("actuator_delay", ""), size=0.004),
     "IMU askew by 0.1 rad": Hidden(tilt=0.1, cause=("imu", "acc"), size=0.1),
-    "ground friction 0.4": Hidden((('friction="0.7 ', 'friction="0.4 '),)),
+    "ground friction 0.4": Hidden(
+        (('friction="0.7 ', 'friction="0.4 '),), cause=("contact_friction", ""), size=0.4 / 0.7 - 1
+    ),
     "nothing": Hidden(),
 }
 """By name what is hidden, one at a time."""

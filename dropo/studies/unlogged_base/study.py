@@ -121,7 +121,6 @@ def unlogged_base(
         (
             "Inside: 95 % intervals that hold the truth. Other names: causes that are not hidden,"
             " of all machines together. The median error is of sizes that were named.",
-            "Ground friction is not looked for by regression: nothing is the right answer there.",
         ),
         data,
     )

@@ -1,4 +1,4 @@
-"""Regression over inverse dynamics of a machine on legs: contact forces are not asked for."""
+"""Regression over inverse dynamics of a machine on legs, and the friction of its feet."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -44,6 +44,21 @@ def test_a_payload_and_a_joints_friction(tmp_path: Path) -> None:
     assert abs(mass.value - 1.5) < 4.5 * mass.se < 4.5 * 0.5
     friction = sizes["joint_friction", "FL_hip"]["frictionloss"]
     assert abs(friction.value - 0.6) < 4.5 * friction.se < 4.5 * 0.2
+
+
+def slippery(model: mujoco.MjModel) -> None:
+    """The ground's friction is 0.4 in the place of 0.7."""
+    model.geom_friction[model.geom("floor").id, 0] = 0.4
+
+
+def test_the_grounds_friction(tmp_path: Path) -> None:
+    """It alone is named, within 3 standard errors of a few percent; what is to be typed has it."""
+    found = QuickDiagnose().run(walking(tmp_path, slippery))
+    assert [(cause.effect, cause.target) for cause in found.causes] == [("contact_friction", None)]
+    factor = found.causes[0].estimate["sliding"]
+    assert abs(factor.value - (0.4 / 0.7 - 1)) < 3 * factor.se < 3 * 0.05
+    assert "short simulations" in found.headline()
+    assert any('name="floor"' in line for line in found.to_type)
 
 
 def test_the_motion_of_a_free_body() -> None:

@@ -13,8 +13,9 @@ def test_machines_differ_where_they_say() -> None:
     """Each text is in the model, and changes what the case is called by."""
     models = {name: mujoco.MjModel.from_xml_string(one.machine) for name, one in HIDDEN.items()}
     usual = models["nothing"]
-    heavy = models["1 kg at the trunk"]
+    heavy = models["1 kg on the trunk"]
     assert heavy.body("trunk").mass[0] == pytest.approx(usual.body("trunk").mass[0] + 1)
+    assert heavy.body("trunk").ipos[2] > usual.body("trunk").ipos[2]
     weak = models["70 % of a knee's servo"].actuator("FR_knee")
     assert weak.gainprm[0] == pytest.approx(0.7 * usual.actuator("FR_knee").gainprm[0])
     assert weak.biasprm[2] == pytest.approx(0.7 * usual.actuator("FR_knee").biasprm[2])
@@ -65,6 +66,6 @@ def test_a_replication_of_each_kind() -> None:
     """One fit within five standard errors, and a machine's payload."""
     found = replication([FIT, 3, 4.0, 2])
     assert all(abs(e) < 5 * se for e, se in zip(found["error"], found["se"], strict=True))
-    named = replication(["1 kg at the trunk", 3, 5.0, 2])
+    named = replication(["1 kg on the trunk", 3, 5.0, 2])
     assert named["named"]
     assert named["size"] == pytest.approx(1.0, abs=0.3)
