@@ -24,6 +24,7 @@ from threadpoolctl import threadpool_limits
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from benchmarks.readme import numbers
 from dropo import Diagnose
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.records.trajectories import Segments
@@ -221,6 +222,19 @@ def table(machine: str, case: str, stages: Stages, runs: list[dict[str, Any]]) -
     return "\n".join(lines)
 
 
+def in_numbers(stages: Stages, runs: list[dict[str, Any]]) -> dict[str, Any]:
+    """What some runs took, for the goals: medians of steps and of seconds of processor time, mean
+    seconds inside of the simulator, and the shares of stages.
+    """
+    total = sum(stages.steps.values())
+    return {
+        "steps": float(np.median([run["steps"] for run in runs])),
+        "seconds": float(np.median([run["seconds"] for run in runs])),
+        "simulator": sum(stages.seconds.values()) / len(runs),
+        "stages": {stage: steps / total for stage, steps in stages.steps.most_common()},
+    }
+
+
 def main() -> None:
     """Print a table for each machine and case."""
     parser = argparse.ArgumentParser(
@@ -232,6 +246,7 @@ def main() -> None:
     options = parser.parse_args()
     machines = MACHINES if options.machine is None else (options.machine,)
     cases = CASES if options.case is None else (options.case,)
+    found = {}
     for machine in machines:
         for case in cases:
             whole = Stages()
@@ -243,6 +258,8 @@ def main() -> None:
                 runs.append(said)
                 print(f"{seed}: {said['hidden']} -> {said['said']}", file=sys.stderr, flush=True)
             print(table(machine, case, whole, runs), end="\n\n", flush=True)
+            found[f"{machine}, {case}"] = in_numbers(whole, runs)
+    print(numbers(found))
 
 
 if __name__ == "__main__":
