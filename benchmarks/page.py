@@ -3,6 +3,7 @@
 python benchmarks/page.py               the blocks that `page.json` lacks, the quickest first
 python benchmarks/page.py cost goals    these anew
 python benchmarks/page.py --upto 10     of those that it lacks, the ones of up to 10 minutes
+python benchmarks/page.py --kept cost   what cost.py has of its cells, without measuring any
 python benchmarks/page.py --list        which there are, and when each was measured
 
 Each block is what a script beside this one prints, kept in `page.json` and written into the page as
@@ -34,12 +35,13 @@ KEPT = HERE / "page.json"
 
 @dataclass(frozen=True)
 class Block:
-    """A part of the page: the script that prints it, and about how many minutes it takes on two
-    free cores.
+    """A part of the page: the script that prints it, about how many minutes it takes on two free
+    cores, and the options with which it prints what it has kept, if it keeps what it measures.
     """
 
     command: tuple[str, ...]
     minutes: float
+    kept: tuple[str, ...] | None = None
 
 
 BLOCKS = {
@@ -50,10 +52,10 @@ BLOCKS = {
     "walk": Block(("walk.py",), 3),
     "methods": Block(("methods.py",), 5),
     "tables": Block(("tables.py",), 5),
-    "cost": Block(("cost.py",), 20),
-    "diagnosis": Block(("diagnosis.py",), 30),
-    "transitions": Block(("transitions.py",), 60),
-    "faults": Block(("faults.py",), 1),
+    "cost": Block(("cost.py",), 20, ("--upto", "0")),
+    "diagnosis": Block(("diagnosis.py",), 30, ("--kept",)),
+    "transitions": Block(("transitions.py",), 60, ("--upto", "0")),
+    "faults": Block(("faults.py",), 1, ()),
 }
 """By the name of its place in the page."""
 
@@ -70,6 +72,8 @@ def conditions() -> dict[str, Any]:
 
 def in_words(row: dict[str, Any]) -> str:
     """The conditions of a block, in a sentence."""
+    if row["kept"]:
+        return f"Printed on {row['date']} of what was measured by then."
     versions = ", ".join(f"{name} {number}" for name, number in row["versions"].items())
     waiting = row["load"] / row["cores"]
     busy = "free" if waiting < 1.2 else f"with {waiting:.0f} times more work than cores"
@@ -77,14 +81,17 @@ def in_words(row: dict[str, Any]) -> str:
     return f"Measured on {row['date']}: {cores}, {versions}."
 
 
-def measured(name: str) -> dict[str, Any]:
-    """What the script of a block prints, and under which conditions."""
+def measured(name: str, kept: bool = False) -> dict[str, Any]:
+    """What the script of a block prints, and under which conditions; what it has kept, if asked."""
     script, *options = BLOCKS[name].command
+    if kept:
+        options += BLOCKS[name].kept or ()
     where = conditions()
     begun = time.perf_counter()
     command = [sys.executable, str(HERE / script), *options]
     done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
-    return {**where, "seconds": time.perf_counter() - begun, "text": done.stdout.strip()}
+    spent = time.perf_counter() - begun
+    return {**where, "kept": kept, "seconds": spent, "text": done.stdout.strip()}
 
 
 def listed(found: dict[str, dict[str, Any]]) -> str:
@@ -103,6 +110,7 @@ def main() -> None:
     )
     parser.add_argument("blocks", nargs="*", metavar="BLOCK", help=", ".join((*BLOCKS, "goals")))
     parser.add_argument("--upto", type=float, default=float("inf"), metavar="MINUTES")
+    parser.add_argument("--kept", action="store_true")
     parser.add_argument("--list", action="store_true")
     options = parser.parse_args()
     unknown = set(options.blocks) - {*BLOCKS, "goals"}
@@ -115,10 +123,11 @@ def main() -> None:
     missing = [name for name in BLOCKS if name not in found]
     wanted = [name for name in BLOCKS if name in options.blocks] if options.blocks else missing
     for name in sorted(wanted, key=lambda name: BLOCKS[name].minutes):
-        if BLOCKS[name].minutes > options.upto:
+        block = BLOCKS[name]
+        if block.kept is None if options.kept else block.minutes > options.upto:
             continue
         print(name, file=sys.stderr, flush=True)
-        found[name] = measured(name)
+        found[name] = measured(name, options.kept)
         write_json(KEPT, found)
         write_block(name, f"{found[name]['text']}\n\n{in_words(found[name])}")
     print(write_block("goals", goals.table({name: row["text"] for name, row in found.items()})))

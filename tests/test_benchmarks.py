@@ -10,7 +10,19 @@ import time
 import numpy as np
 import pytest
 
-from benchmarks import cost, goals, gpu, meshes, methods, page, readme, shares, tables, walk
+from benchmarks import (
+    cost,
+    diagnosis,
+    goals,
+    gpu,
+    meshes,
+    methods,
+    page,
+    readme,
+    shares,
+    tables,
+    walk,
+)
 from benchmarks.objective import (
     EPSILON,
     TINY,
@@ -180,9 +192,9 @@ def own_page(tmp_path, monkeypatch):
         "# Page\n<!-- goals -->\n<!-- end -->\n<!-- one -->\nold\n<!-- end -->\n"
         "<!-- two -->\n<!-- end -->\n"
     )
-    (tmp_path / "one.py").write_text("print('| first |')")
+    (tmp_path / "one.py").write_text("import sys; print('| first |', *sys.argv[1:])")
     (tmp_path / "two.py").write_text("raise SystemExit(3)")
-    blocks = {"one": page.Block(("one.py",), 1), "two": page.Block(("two.py",), 2)}
+    blocks = {"one": page.Block(("one.py",), 1, ("x",)), "two": page.Block(("two.py",), 2)}
     monkeypatch.setattr(page, "BLOCKS", blocks)
     monkeypatch.setattr(page, "HERE", tmp_path)
     monkeypatch.setattr(page, "KEPT", tmp_path / "page.json")
@@ -209,6 +221,12 @@ def test_a_page_goes_on_where_it_was(own_page, monkeypatch, capsys):
     monkeypatch.setattr("sys.argv", ["page.py", "one"])
     page.main()
     assert "| again |" in (own_page / "README.md").read_text()
+    (own_page / "one.py").write_text("import sys; print('| kept |', *sys.argv[1:])")
+    monkeypatch.setattr("sys.argv", ["page.py", "--kept", "one", "two"])
+    page.main()
+    text = (own_page / "README.md").read_text()
+    assert "| kept | x\n\nPrinted on " in text
+    assert "| second |" in text
     monkeypatch.setattr("sys.argv", ["page.py", "--list"])
     capsys.readouterr()
     page.main()
@@ -272,3 +290,25 @@ def test_robots_of_the_gpus_table(name, joints):
     problem.simulator.steps = 0
     assert gpu.rate(problem.simulator, problem.using(transitions=8), 8) > 0
     assert problem.simulator.steps == 2 * 8 * problem.simulator.steps_per_action
+
+
+def test_runs_of_a_diagnosis_are_kept(tmp_path, monkeypatch, capsys):
+    """Counts come back from JSON as they were, and a run that is kept is not made again."""
+    stages = diagnosis.Stages()
+    stages.steps["screening"] = stages.operations["other"] = stages.evaluations["screening"] = 100
+    stages.repeats["screening"] = 5
+    stages.seconds["screening"] = 0.5
+    said = {"hidden": "-", "said": "nothing", "steps": 100, "seconds": 1.0}
+    made = []
+    monkeypatch.setattr(
+        diagnosis, "measured", lambda *asked: made.append(asked) or (stages, dict(said))
+    )
+    monkeypatch.setattr(diagnosis, "KEPT", tmp_path / "diagnosis.json")
+    for argv, runs in ((["hopper", "one", "1", "2"], 2), (["hopper", "one", "2"], 2)):
+        monkeypatch.setattr("sys.argv", ["diagnosis.py", *argv])
+        diagnosis.main()
+        assert len(made) == runs
+    text = capsys.readouterr().out
+    assert "hopper, one: 2 runs, median 100 steps, 1.0 s of processor time" in text
+    assert "| screening | 100 | 100% | 100 | 5% | 0.50 |" in text
+    assert readme.numbers_in(text)["hopper, one"]["stages"] == {"screening": 1.0}
