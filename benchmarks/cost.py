@@ -157,25 +157,45 @@ def table(found: dict[str, dict[str, Any]]) -> str:
 
 
 def draw(figure: Any, found: dict[str, dict[str, Any]]) -> None:
-    """Seconds and memory of a round against transitions, a line for each number of parameters and
-    threads.
+    """Seconds and memory of a round against transitions, and seconds against parameters, a line for
+    each number of the other and of threads; and how many times as fast all threads are.
     """
-    axes = figure.subplots(1, 2)
-    for d, color in zip(PARAMETERS, ("tab:blue", "tab:orange", "tab:green"), strict=True):
+    figure.set_size_inches(8, 6.4)
+    by_size, memory, by_number, faster = figure.subplots(2, 2).ravel()
+    colors = ("tab:blue", "tab:orange", "tab:green")
+    for d, color in zip(PARAMETERS, colors, strict=True):
         for threads, style in zip(THREADS, ("o--", "o-"), strict=True):
-            rows = [
-                (t, found[json.dumps(("round", d, t, threads))])
-                for t in TRANSITIONS
-                if json.dumps(("round", d, t, threads)) in found
-            ]
-            if rows:
-                at, cells = zip(*rows, strict=True)
-                label = f"{d} parameters, {threads} thread{'s' * (threads > 1)}"
-                axes[0].plot(at, [row["seconds"] for row in cells], style, color=color, label=label)
-                axes[1].plot(at, [row["memory_mb"] for row in cells], style, color=color)
-    axes[0].set(xscale="log", yscale="log", xlabel="transitions", title="a round [s]")
-    axes[1].set(xscale="log", yscale="log", xlabel="transitions", title="peak memory [MB]")
-    axes[0].legend(fontsize=6)
+            rows = rounds(found, [(d, t) for t in TRANSITIONS], threads)
+            at = [t for (_, t), _ in rows]
+            label = f"{d} parameters, {threads} thread{'s' * (threads > 1)}"
+            seconds = [row["seconds"] for _, row in rows]
+            by_size.plot(at, seconds, style, color=color, label=label)
+            memory.plot(at, [row["memory_mb"] for _, row in rows], style, color=color)
+        few, many = (dict(rounds(found, [(d, t) for t in TRANSITIONS], n)) for n in THREADS)
+        both = [cell for cell in few if cell in many]
+        times = [few[cell]["seconds"] / many[cell]["seconds"] for cell in both]
+        faster.plot([t for _, t in both], times, "o-", color=color)
+    for t, color in zip(TRANSITIONS, colors, strict=True):
+        rows = rounds(found, [(d, t) for d in PARAMETERS], THREADS[-1])
+        at = [d for (d, _), _ in rows]
+        seconds = [row["seconds"] for _, row in rows]
+        by_number.plot(at, seconds, "o-", color=color, label=f"{t:,} transitions")
+    by_size.set(xscale="log", yscale="log", xlabel="transitions", title="a round [s]")
+    memory.set(xscale="log", yscale="log", xlabel="transitions", title="peak memory [MB]")
+    title = f"a round [s], {THREADS[-1]} threads"
+    by_number.set(xscale="log", yscale="log", xlabel="parameters", title=title)
+    title = f"times as fast with {THREADS[-1]} threads"
+    faster.set(xscale="log", xlabel="transitions", title=title)
+    by_size.legend(fontsize=6)
+    by_number.legend(fontsize=6)
+
+
+def rounds(
+    found: dict[str, dict[str, Any]], sizes: list[tuple[int, int]], threads: int
+) -> list[tuple[tuple[int, int], dict[str, Any]]]:
+    """The rounds of some numbers of parameters and transitions that were measured."""
+    keys = [(size, json.dumps(("round", *size, threads))) for size in sizes]
+    return [(size, found[key]) for size, key in keys if key in found]
 
 
 def write(found: dict[str, dict[str, Any]]) -> None:

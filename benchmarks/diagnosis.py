@@ -2,6 +2,9 @@
 
 python benchmarks/diagnosis.py                        the hopper, half-cheetah, walker and an arm
 python benchmarks/diagnosis.py hopper one 3100 3101   one machine, one case, some seeds
+python benchmarks/diagnosis.py --kept                 what `diagnosis.json` has
+
+Runs that `diagnosis.json` has are not made again; the tables are of all that it has by then.
 
 Cases are those of the study of hidden effects. Steps count as the diagnosis counts them, and as
 evaluations of the equations of motion, of which Runge and Kutta take four a step. Repeats are
@@ -10,6 +13,7 @@ thread, all seconds are processor time.
 """
 
 import argparse
+import json
 import sys
 import time
 from collections import Counter, defaultdict
@@ -24,13 +28,16 @@ from threadpoolctl import threadpool_limits
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from benchmarks.readme import numbers
 from dropo import Diagnose
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.records.trajectories import Segments
+from dropo.core.services.files.atomic_write import write_json
 from dropo.core.services.validation import Array
 from dropo.mjmodel.options import integrator
 from dropo.studies.hidden_effects import study
 
+KEPT = Path(__file__).with_name("diagnosis.json")
 MACHINES = ("hopper", "half-cheetah", "walker2d", "position-arm")
 CASES = ("nothing", "one")
 SEEDS = (3100, 3101, 3102)
@@ -73,6 +80,9 @@ PER_STEP = {"RK4": 4}
 """Evaluations of the equations of motion in a step, where these are not one."""
 
 
+COUNTS = ("steps", "operations", "evaluations", "repeats", "seconds")
+
+
 class Stages:
     """Steps, evaluations, repeats and seconds by stage."""
 
@@ -83,6 +93,18 @@ class Stages:
         self.repeats: Counter[str] = Counter()
         self.seconds: defaultdict[str, float] = defaultdict(float)
         self.seen: set[Any] = set()
+
+    def kept(self) -> dict[str, dict[str, float]]:
+        """All counts, as JSON has them; `of` reads them."""
+        return {name: dict(getattr(self, name)) for name in COUNTS}
+
+    @staticmethod
+    def of(kept: dict[str, dict[str, float]]) -> "Stages":
+        """The counts that `kept` gave."""
+        out = Stages()
+        for name in COUNTS:
+            getattr(out, name).update(kept[name])
+        return out
 
     def add(self, other: "Stages") -> None:
         """Add what another run counted."""
@@ -191,13 +213,15 @@ def measured(machine: str, case: str, seed: int) -> tuple[Stages, dict[str, Any]
     return kept[0], {**said, "seconds": spent[0]}
 
 
-def table(machine: str, case: str, stages: Stages, runs: list[dict[str, Any]]) -> str:
+def table(title: str, stages: Stages, runs: list[dict[str, Any]]) -> str:
     """The stages of some runs, the largest first, on average."""
     count = len(runs)
     total = sum(stages.steps.values())
+    steps = np.median([run["steps"] for run in runs])
+    seconds = np.median([run["seconds"] for run in runs])
     lines = [
-        f"{machine}, {case}: {count} runs, median {np.median([r['steps'] for r in runs]):,.0f} "
-        f"steps, {np.median([r['seconds'] for r in runs]):.1f} s of processor time",
+        f"{title}: {count} run{'s' * (count > 1)}, median {steps:,.0f} steps, {seconds:.1f} s of"
+        " processor time",
         "",
         "| stage | steps | share | evaluations | repeats | s in the simulator |",
         "|---|---|---|---|---|---|",
@@ -221,28 +245,59 @@ def table(machine: str, case: str, stages: Stages, runs: list[dict[str, Any]]) -
     return "\n".join(lines)
 
 
+def in_numbers(stages: Stages, runs: list[dict[str, Any]]) -> dict[str, Any]:
+    """What some runs took, for the goals: medians of steps and of seconds of processor time, mean
+    seconds inside of the simulator, and the shares of stages.
+    """
+    total = sum(stages.steps.values())
+    return {
+        "steps": float(np.median([run["steps"] for run in runs])),
+        "seconds": float(np.median([run["seconds"] for run in runs])),
+        "simulator": sum(stages.seconds.values()) / len(runs),
+        "stages": {stage: steps / total for stage, steps in stages.steps.most_common()},
+    }
+
+
 def main() -> None:
-    """Print a table for each machine and case."""
+    """Measure what is missing of what is asked for, and print a table for each machine and case."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("machine", nargs="?")
     parser.add_argument("case", nargs="?")
     parser.add_argument("seeds", nargs="*", type=int)
+    parser.add_argument("--kept", action="store_true", help="measure nothing")
     options = parser.parse_args()
     machines = MACHINES if options.machine is None else (options.machine,)
     cases = CASES if options.case is None else (options.case,)
-    for machine in machines:
-        for case in cases:
-            whole = Stages()
-            runs = []
-            for seed in options.seeds or SEEDS:
-                with threadpool_limits(1, user_api="blas"):
-                    stages, said = measured(machine, case, seed)
-                whole.add(stages)
-                runs.append(said)
-                print(f"{seed}: {said['hidden']} -> {said['said']}", file=sys.stderr, flush=True)
-            print(table(machine, case, whole, runs), end="\n\n", flush=True)
+    wanted = [(m, c, s) for m in machines for c in cases for s in options.seeds or SEEDS]
+    found = json.loads(KEPT.read_text()) if KEPT.exists() else {}
+    for machine, case, seed in () if options.kept else wanted:
+        key = f"{machine}, {case}, {seed}"
+        if key in found:
+            continue
+        with threadpool_limits(1, user_api="blas"):
+            stages, said = measured(machine, case, seed)
+        print(f"{key}: {said['hidden']} -> {said['said']}", file=sys.stderr, flush=True)
+        whole = {name: said[name] for name in ("hidden", "said", "steps", "seconds")}
+        found[key] = {**whole, "stages": stages.kept()}
+        write_json(KEPT, found)
+    print(report(found))
+
+
+def report(found: dict[str, Any]) -> str:
+    """The tables of all runs, with their numbers."""
+    groups: defaultdict[str, list[dict[str, Any]]] = defaultdict(list)
+    for key, run in found.items():
+        groups[key.rpartition(", ")[0]].append(run)
+    tables, summary = [], {}
+    for title, runs in groups.items():
+        whole = Stages()
+        for run in runs:
+            whole.add(Stages.of(run["stages"]))
+        tables.append(table(title, whole, runs))
+        summary[title] = in_numbers(whole, runs)
+    return "\n\n".join([*tables, numbers(summary)])
 
 
 if __name__ == "__main__":

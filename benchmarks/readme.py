@@ -1,11 +1,14 @@
 """Tables in the page of the benchmarks."""
 
+import json
 import re
 from pathlib import Path
+from typing import Any
 
 from dropo.core.services.files.atomic_write import write_text
 
 README = Path(__file__).with_name("README.md")
+NUMBERS = re.compile(r"<!-- numbers (.*) -->")
 
 
 def write_block(name: str, text: str) -> str:
@@ -15,3 +18,14 @@ def write_block(name: str, text: str) -> str:
     page = re.sub(pattern, lambda _: block, README.read_text(), flags=re.DOTALL)
     write_text(README, page)
     return block
+
+
+def numbers(found: dict[str, Any]) -> str:
+    """A line that a page does not show, from which `numbers_in` reads what was measured."""
+    return f"<!-- numbers {json.dumps(found)} -->"
+
+
+def numbers_in(text: str) -> dict[str, Any]:
+    """What was measured, from the output of a benchmark; nothing where it says nothing."""
+    found = NUMBERS.search(text)
+    return {} if found is None else dict(json.loads(found[1]))

@@ -1,5 +1,6 @@
 """Problems of 4, 18 and 100 parameters, with any number of transitions: the hopper's masses, all of
-the hopper, a chain of 20 links; and a block on a spring, which is cheap to simulate.
+the hopper, a chain of 20 links; a block on a spring, which is cheap to simulate; a humanoid of 29
+joints; and a quadruped of 12.
 """
 
 import mujoco
@@ -11,6 +12,8 @@ from dropo.mjmodel.fields import FieldParameter
 from dropo.problems.hopper.data import simulate
 from dropo.problems.hopper.model import BODIES, FRAME_SKIP, hopper_spec
 from dropo.problems.hopper.problem import NOISE, hopper_problem
+from dropo.problems.simulated.example_quadruped import MODEL as QUADRUPED
+from dropo.problems.simulated.example_quadruped import STANCE
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 JOINTS = ("thigh", "leg", "foot")
@@ -163,3 +166,92 @@ def block_problem(transitions: int, threads: int) -> Problem:
     return Problem(
         "block, 4", simulator, data, epsilon=NOISE, truth=dict(zip(names, truth, strict=True))
     )
+
+
+LIMB = ((0, 0, 1), (1, 0, 0), (0, 1, 0), (0, 1, 0), (0, 0, 1), (0, 1, 0), (1, 0, 0))
+"""Axes of the joints of an arm, from the shoulder on; a leg has the first six."""
+
+
+def humanoid_spec() -> mujoco.MjSpec:
+    """A body on the ground with a waist of 3 joints, two arms of 7 and two legs of 6, of capsules,
+    with a servo at every joint.
+    """
+    spec = mujoco.MjSpec()
+    spec.option.timestep = 0.002
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    plane = mujoco.mjtGeom.mjGEOM_PLANE
+    spec.worldbody.add_geom(name="floor", type=plane, size=[10, 10, 1])
+    pelvis = spec.worldbody.add_body(name="pelvis", pos=[0, 0, 0.85])
+    pelvis.add_freejoint()
+    sphere = mujoco.mjtGeom.mjGEOM_SPHERE
+    pelvis.add_geom(type=sphere, size=[0.1, 0, 0], mass=5.0)
+    torso = _limb(spec, pelvis, "waist", LIMB[:3], [0, 0, 0.1], 0.12, 3.0)
+    for side, y in (("left", 1), ("right", -1)):
+        _limb(spec, torso, f"{side}_arm", LIMB, [0, 0.2 * y, 0.1], -0.08, 0.5)
+        _limb(spec, pelvis, f"{side}_leg", LIMB[:6], [0, 0.1 * y, -0.1], -0.12, 1.0)
+    return spec
+
+
+def _limb(
+    spec: mujoco.MjSpec,
+    body: mujoco.MjsBody,
+    name: str,
+    axes: tuple[tuple[int, int, int], ...],
+    place: list[float],
+    length: float,
+    mass: float,
+) -> mujoco.MjsBody:
+    """Joints one after another, a link along z behind each; the last body. Only it touches."""
+    for i, axis in enumerate(axes):
+        last = i == len(axes) - 1
+        body = body.add_body(name=f"{name}{i}", pos=place if i == 0 else [0, 0, length])
+        joint = f"{name}{i}"
+        body.add_joint(name=joint, axis=axis, damping=1.0, armature=0.02)
+        body.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+            fromto=[0, 0, 0, 0, 0, length],
+            size=[0.04, 0, 0],
+            mass=mass,
+            contype=int(last),
+            conaffinity=0,
+        )
+        servo = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        servo.set_to_position(kp=100.0)
+    return body
+
+
+def humanoid_problem(transitions: int, threads: int) -> Problem:
+    """The humanoid around its upright pose."""
+    bodies = ("pelvis", "waist2", "left_leg2", "right_arm3")
+    return _standing("humanoid, 29 joints", humanoid_spec(), bodies, 0.0, transitions, threads)
+
+
+def quadruped_problem(transitions: int, threads: int) -> Problem:
+    """The quadruped of docs/legged.md around its stance."""
+    spec = mujoco.MjSpec.from_string(QUADRUPED)
+    model = spec.compile()
+    bodies = tuple(model.body(i).name for i in (1, 2, 3, 4))
+    stance = np.tile(STANCE, 4)
+    return _standing("quadruped, 12 joints", spec, bodies, stance, transitions, threads)
+
+
+def _standing(
+    name: str,
+    spec: mujoco.MjSpec,
+    bodies: tuple[str, ...],
+    pose: float | np.ndarray,
+    transitions: int,
+    threads: int,
+) -> Problem:
+    """Transitions from states around a pose of the joints, under targets near by; 4 masses."""
+    rng = np.random.default_rng(0)
+    parameters = [factor("body_mass", body) for body in bodies]
+    simulator = MujocoSimulator(spec, parameters, frame_skip=FRAME_SKIP, threads=threads)
+    model = simulator.model
+    still = np.concatenate([model.qpos0, np.zeros(model.nv)])
+    still[7 : model.nq] = pose
+    states = np.repeat(still[None], transitions, axis=0)
+    states[:, 7:] += rng.normal(0, 0.1, (transitions, model.nq - 7 + model.nv))
+    targets = pose + rng.normal(0, 0.2, (transitions, model.nu))
+    data = Trajectories(states, targets, states, np.ones(transitions, dtype=bool))
+    return Problem(name, simulator, data, epsilon=NOISE, truth=ones(simulator))

@@ -9,7 +9,12 @@ import json
 import resource
 import subprocess
 import sys
+from pathlib import Path
 from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from benchmarks.readme import numbers
 
 RUN = """
 import contextlib, io, json, resource, sys, time
@@ -95,7 +100,7 @@ def report(arguments: list[str]) -> str:
     imported = starting(["-c", "import dropo"])
     helped = starting(["-m", "dropo", "--help"])
     lines += ["", f"`import dropo` takes {imported:.2f} s, `dropo --help` {helped:.2f} s."]
-    return "\n".join(lines)
+    return "\n".join([*lines, numbers(found)])
 
 
 if __name__ == "__main__":

@@ -3,12 +3,26 @@ beside bare rollout.
 """
 
 import json
+import re
+import subprocess
 import time
 
 import numpy as np
 import pytest
 
-from benchmarks import cost, meshes, shares, tables, walk
+from benchmarks import (
+    cost,
+    diagnosis,
+    goals,
+    gpu,
+    meshes,
+    methods,
+    page,
+    readme,
+    shares,
+    tables,
+    walk,
+)
 from benchmarks.objective import (
     EPSILON,
     TINY,
@@ -144,7 +158,9 @@ def test_shares_of_the_main_job_add_up(monkeypatch):
     assert min(parts[:2]) > 0
     assert max(parts) < found["total"]
     monkeypatch.setattr(shares, "fit", lambda arguments: found)
-    assert shares.report(["hopper", "--transitions", "80"]).count("\n") == 9
+    text = shares.report(["hopper", "--transitions", "80"])
+    assert text.count("\n") == 10
+    assert readme.numbers_in(text)["steps"] == found["steps"]
 
 
 def test_meshes_prints_a_row_for_each_arm(capsys):
@@ -167,3 +183,132 @@ def test_a_walk_ends_with_a_page(tmp_path, capsys):
     assert (tmp_path / "found" / "report.html").exists()
     with pytest.raises(RuntimeError, match="dropo report nothing: "):
         walk.timed(["report", "nothing"], tmp_path)
+
+
+@pytest.fixture
+def own_page(tmp_path, monkeypatch):
+    """A folder with a page of two blocks and their scripts, in the place of the benchmarks'."""
+    (tmp_path / "README.md").write_text(
+        "# Page\n<!-- goals -->\n<!-- end -->\n<!-- one -->\nold\n<!-- end -->\n"
+        "<!-- two -->\n<!-- end -->\n"
+    )
+    (tmp_path / "one.py").write_text("import sys; print('| first |', *sys.argv[1:])")
+    (tmp_path / "two.py").write_text("raise SystemExit(3)")
+    blocks = {"one": page.Block(("one.py",), 1, ("x",)), "two": page.Block(("two.py",), 2)}
+    monkeypatch.setattr(page, "BLOCKS", blocks)
+    monkeypatch.setattr(page, "HERE", tmp_path)
+    monkeypatch.setattr(page, "KEPT", tmp_path / "page.json")
+    monkeypatch.setattr(readme, "README", tmp_path / "README.md")
+    return tmp_path
+
+
+def test_a_page_goes_on_where_it_was(own_page, monkeypatch, capsys):
+    """A block that was measured stays when the next one fails, and is not measured again; one that
+    is named is; what there is and is not can be listed.
+    """
+    monkeypatch.setattr("sys.argv", ["page.py"])
+    with pytest.raises(subprocess.CalledProcessError):
+        page.main()
+    text = (own_page / "README.md").read_text()
+    assert "<!-- one -->\n| first |\n\nMeasured on " in text
+    (own_page / "one.py").write_text("print('| again |')")
+    (own_page / "two.py").write_text("print('| second |')")
+    page.main()
+    text = (own_page / "README.md").read_text()
+    assert "| first |" in text
+    assert "| second |" in text
+    assert "| goal | measured |" in text
+    monkeypatch.setattr("sys.argv", ["page.py", "one"])
+    page.main()
+    assert "| again |" in (own_page / "README.md").read_text()
+    (own_page / "one.py").write_text("import sys; print('| kept |', *sys.argv[1:])")
+    monkeypatch.setattr("sys.argv", ["page.py", "--kept", "one", "two"])
+    page.main()
+    text = (own_page / "README.md").read_text()
+    assert "| kept | x\n\nPrinted on " in text
+    assert "| second |" in text
+    monkeypatch.setattr("sys.argv", ["page.py", "--list"])
+    capsys.readouterr()
+    page.main()
+    assert capsys.readouterr().out.count("min  20") == 2
+    monkeypatch.setattr("sys.argv", ["page.py", "three"])
+    with pytest.raises(SystemExit):
+        page.main()
+
+
+def test_every_block_has_its_place_and_its_script():
+    """The page has a place for each block that the command knows, and no other."""
+    text = readme.README.read_text()
+    places = re.findall(r"^<!-- (\w+) -->$", text, flags=re.MULTILINE)
+    assert sorted(one for one in places if one != "end") == sorted([*page.BLOCKS, "goals"])
+    for block in page.BLOCKS.values():
+        assert (readme.README.parent / block.command[0]).exists()
+
+
+def test_goals_stand_beside_what_was_measured():
+    """Met or not as the numbers say, with a reason where not; what was not measured says so."""
+    job = {"total": 2.0, "simulation": 1.3, "imports": 0.5, "steps": 90_000}
+    one = {
+        "steps": 1e6,
+        "seconds": 4.0,
+        "simulator": 3.0,
+        "stages": {"screening": 0.4, "trials": 0.3},
+    }
+    texts = {
+        "shares": readme.numbers(job),
+        "diagnosis": readme.numbers({"hopper, one": one}),
+        "gpu": readme.numbers({"hopper-noisy": 1e7}),
+    }
+    rows = [line.strip("| ").split(" | ") for line in goals.table(texts).splitlines()]
+    said = {row[0]: row[1:] for row in rows}
+    assert said["100,000 simulator steps"][:2] == ["90,000", "met"]
+    assert said["diagnosis of a hopper: 5 s"][1] == "met"
+    steps = said["diagnosis of a hopper: 533,333 steps"]
+    assert steps[1:] == ["not met", "most in screening 40%, trials 30%"]
+    assert said["diagnosis of a half-cheetah: 30 s"][1] == "not measured"
+    gpu = "the published method unabridged, 2e9 steps, on one GPU: 5 minutes"
+    assert said[gpu][:2] == ["3.3 min at 10,000,000 steps/s", "met"]
+
+
+@pytest.mark.parametrize("name", ["DROPO", "least squares of mujoco.sysid"])
+def test_methods_are_measured_on_the_same_data(name):
+    """Their masses are right within a tenth of a kilogram with a hundred transitions."""
+    found = methods.measured(name, 100)
+    assert found["error"] < 0.1
+    assert found["steps"] >= 100 * FRAME_SKIP
+    assert f"| {name} | {found['steps']:,} |" in methods.table({name: found})
+
+
+@pytest.mark.parametrize(("name", "joints"), [("quadruped", 12), ("humanoid", 29)])
+def test_robots_of_the_gpus_table(name, joints):
+    """They have their joints, stay finite, and MuJoCo simulates as many steps as are counted."""
+    made = next(make for title, make in gpu.PROBLEMS.items() if title.startswith(name))
+    problem = made()
+    assert problem.simulator.model.nu == joints
+    some = problem.segments.take(np.arange(4))
+    assert np.isfinite(problem.simulator.predict(problem.simulator.nominal[None], some)).all()
+    problem.simulator.steps = 0
+    assert gpu.rate(problem.simulator, problem.using(transitions=8), 8) > 0
+    assert problem.simulator.steps == 2 * 8 * problem.simulator.steps_per_action
+
+
+def test_runs_of_a_diagnosis_are_kept(tmp_path, monkeypatch, capsys):
+    """Counts come back from JSON as they were, and a run that is kept is not made again."""
+    stages = diagnosis.Stages()
+    stages.steps["screening"] = stages.operations["other"] = stages.evaluations["screening"] = 100
+    stages.repeats["screening"] = 5
+    stages.seconds["screening"] = 0.5
+    said = {"hidden": "-", "said": "nothing", "steps": 100, "seconds": 1.0}
+    made = []
+    monkeypatch.setattr(
+        diagnosis, "measured", lambda *asked: made.append(asked) or (stages, dict(said))
+    )
+    monkeypatch.setattr(diagnosis, "KEPT", tmp_path / "diagnosis.json")
+    for argv, runs in ((["hopper", "one", "1", "2"], 2), (["hopper", "one", "2"], 2)):
+        monkeypatch.setattr("sys.argv", ["diagnosis.py", *argv])
+        diagnosis.main()
+        assert len(made) == runs
+    text = capsys.readouterr().out
+    assert "hopper, one: 2 runs, median 100 steps, 1.0 s of processor time" in text
+    assert "| screening | 100 | 100% | 100 | 5% | 0.50 |" in text
+    assert readme.numbers_in(text)["hopper, one"]["stages"] == {"screening": 1.0}

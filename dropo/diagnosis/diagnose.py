@@ -87,7 +87,7 @@ from dropo.diagnosis.solving import (
     without_worse,
     worse_leader,
 )
-from dropo.evaluation.held_out import SETTINGS as HELD_OUT
+from dropo.evaluation.held_out import OF_DIAGNOSIS
 
 
 @dataclass(frozen=True)
@@ -445,7 +445,7 @@ class Diagnose:
         if task.undisturbed is not None:
             # With disturbances the windows' own horizon alone, on all data held out.
             thetas = [nominal_of(library), first.theta, last.theta]
-            own = replace(HELD_OUT, horizons=())
+            own = replace(OF_DIAGNOSIS, horizons=())
             inside = horizons(task.problem, library, thetas, last, draws, own)
             disturbances = left_out(task.undisturbed, inside)
         rest, beyond = self._after_every_horizon(setup, after, last, findings.rest, draws)

@@ -37,6 +37,9 @@ class HeldOutSettings:
         fewer than `minimum`.
     minimum : int
         So many windows of one horizon are taken at least, as far as the data have them.
+    overlap : float
+        No row is in more windows of one horizon than so many on average, unless they were then
+        fewer than `minimum`: windows that hardly differ say the same.
     fewest : int
         With fewer windows of a horizon a diagnosis gives no errors of it.
     blocks : int
@@ -51,28 +54,34 @@ class HeldOutSettings:
     maximum: int = 480
     maximum_steps: int = 4800
     minimum: int = 40
+    overlap: float = np.inf
     fewest: int = 8
     blocks: int = 24
     few_trajectories: int = 4
     minimum_variance: float = 1e-3
 
-    def count(self, horizon: int) -> int:
+    def count(self, horizon: int, rows: int) -> int:
         """Return how many windows of a horizon are taken, where there are so many.
 
         Parameters
         ----------
         horizon : int
             Control steps in a window.
+        rows : int
+            Rows of the data that the windows are of.
 
         Returns
         -------
         int
-            As many as `maximum_steps` allow, from `minimum` to `maximum`.
+            As many as `maximum_steps` and `overlap` allow, from `minimum` to `maximum`.
         """
-        return max(self.minimum, min(self.maximum, self.maximum_steps // horizon))
+        apart = self.overlap * rows / horizon
+        return max(self.minimum, int(min(self.maximum, self.maximum_steps // horizon, apart)))
 
 
 SETTINGS = HeldOutSettings()
+OF_DIAGNOSIS = HeldOutSettings(overlap=2.0)
+"""Those of a diagnosis, which compares many models."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,7 +226,8 @@ def held_out_starts(part: DataPart, horizon: int, settings: HeldOutSettings = SE
     -------
     (W,) int array
     """
-    return thin(window_starts(part, horizon), settings.count(horizon))
+    count = settings.count(horizon, int(part.chosen.sum()))
+    return thin(window_starts(part, horizon), count)
 
 
 def held_out_windows(

@@ -10,6 +10,7 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Signal, Trajectories
 from dropo.core.services.errors import BadArgument
 from dropo.evaluation.held_out import (
+    OF_DIAGNOSIS,
     SETTINGS,
     errors_of,
     held_out_part,
@@ -106,8 +107,15 @@ def test_no_row_that_was_fitted_is_held_out(count, horizon):
     windows = held_out_windows(unseen, horizon)
     assert len(windows) or horizon == 40
     assert not set(windows.steps.ravel().tolist()) & set(np.flatnonzero(fitted.chosen).tolist())
-    assert len(windows) <= SETTINGS.count(horizon)
+    assert len(windows) <= SETTINGS.count(horizon, int(unseen.chosen.sum()))
     np.testing.assert_array_equal(windows.steps, held_out_windows(unseen, horizon).steps)
+
+
+def test_windows_of_a_diagnosis_overlap_little():
+    """Of 600 rows those of 30 steps are 40, each row in two; those of a fit are 160."""
+    assert OF_DIAGNOSIS.count(30, 600) == 40
+    assert SETTINGS.count(30, 600) == 160
+    assert OF_DIAGNOSIS.count(1, 10**6) == SETTINGS.count(1, 10**6) == SETTINGS.maximum
 
 
 def test_failed_windows_are_left_out_and_counted():

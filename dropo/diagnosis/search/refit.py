@@ -19,6 +19,7 @@ from dropo.diagnosis.search.linearization import (
 )
 from dropo.diagnosis.search.whitening import (
     SETTINGS,
+    Whitener,
     WhitenessSettings,
     WindowNoise,
     coloured_noise,
@@ -43,9 +44,10 @@ class RefitSettings:
         How often at most the effect of the start's noise is found anew in a fit.
     renewal_gain : float
         From this many nats on, finding it anew has changed something.
-    renewal_stride : int
-        Whether it has is first seen on one window of so many ...
-    renewal_fewest : int
+    stride : int
+        Whether it has, and which number of a scan is best, is first seen on one window of so
+        many ...
+    fewest : int
         ... if these are so many at least.
     noiseless : float
         Data whose noise is below this multiple of its lower bound are without noise.
@@ -59,8 +61,8 @@ class RefitSettings:
     close: float = 0.02
     renewals: int = 4
     renewal_gain: float = 3.0
-    renewal_stride: int = 4
-    renewal_fewest: int = 12
+    stride: int = 4
+    fewest: int = 12
     noiseless: float = 10.0
     other_noise: float = 1.3
     scan: tuple[float, ...] = (0.05, 0.15, 0.3, 0.5, 0.7, 0.85, 1.15, 1.4, 1.8, 2.5, 4.0)
@@ -131,13 +133,15 @@ def refit(
 
 def _is_outdated(library: Library, linearized: LinearizedWindows, settings: RefitSettings) -> bool:
     """Whether some windows say that the effect of the start's noise is another by now."""
-    count = len(linearized.windows)
-    if count < settings.renewal_stride * settings.renewal_fewest:
+    theta, noise = linearized.linearized_at
+    if np.array_equal(theta, linearized.theta) and not _is_other(linearized, noise, settings):
+        return False
+    some = _some(linearized, settings)
+    if some is None:
         return True
-    some = linearized.take(np.arange(0, count, settings.renewal_stride))
     renewed = linearize(library, some.windows, some.theta, some.whiten.noise)
     change = float(renewed.log_likelihood.sum() - some.log_likelihood.sum())
-    return abs(change) * settings.renewal_stride >= settings.renewal_gain
+    return abs(change) * settings.stride >= settings.renewal_gain
 
 
 def with_noise(
@@ -169,11 +173,17 @@ def _under(
     noise: WindowNoise,
     settings: RefitSettings = DEFAULTS,
 ) -> LinearizedWindows:
-    """Windows under a noise, linearized anew where it is quite another."""
-    ratios = np.abs(np.log(noise.sigma / linearized.whiten.sigma))
-    if np.any(ratios > np.log(settings.other_noise)):
+    """Windows under a noise, linearized anew where it is quite another and that changes much."""
+    other = with_other_noise(library, linearized, noise)
+    if _is_other(linearized, noise, settings) and _is_outdated(library, other, settings):
         return linearize(library, linearized.windows, linearized.theta, noise)
-    return with_other_noise(library, linearized, noise)
+    return other
+
+
+def _is_other(linearized: LinearizedWindows, noise: WindowNoise, settings: RefitSettings) -> bool:
+    """Whether a noise is quite another than that of some windows."""
+    ratios = np.abs(np.log(noise.sigma / linearized.whiten.sigma))
+    return bool(np.any(ratios > np.log(settings.other_noise)))
 
 
 def other_noise(
@@ -232,7 +242,7 @@ def settle(
     rounds: int = 2,
     nonsmooth: Ints = NO_INDICES,
     known: Array | None = None,
-    close: bool = False,
+    slopes: Array | None = None,
     settings: RefitSettings = DEFAULTS,
 ) -> LinearizedWindows:
     """Fit windows with the effect of the start's noise as it is, enough to compare candidates.
@@ -243,15 +253,18 @@ def settle(
         As of `refit`.
     known : (k, W, n) array, optional
         Jacobian by the first k free numbers that may stand for theirs at any theta near by.
-    close : bool
-        Whether to differentiate by narrow differences.
+    slopes : (f - k, W, n) array, optional
+        Jacobian by the other free numbers, that may be used at first.
 
     Returns
     -------
     LinearizedWindows
     """
     problem = _Steps(library, free, known, settings)
-    return _settled(problem, linearized, floor, rounds, nonsmooth, close=close)[0]
+    whole = None
+    if slopes is not None:
+        whole = slopes if known is None else np.concatenate([known, slopes])
+    return _settled(problem, linearized, floor, rounds, nonsmooth, jacobian=whole)[0]
 
 
 def _settled(
@@ -342,7 +355,23 @@ def _scan(
     candidates = np.repeat(linearized.theta[None], len(multiples), axis=0)
     scanned = multiples * linearized.theta[number]
     candidates[:, number] = np.clip(scanned, space.low[number], space.high[number])
+    some = _some(linearized, settings)
+    if some is not None:
+        _, _, values = _evaluated(library, some, candidates)
+        gains = settings.stride * (values - some.log_likelihood.sum())
+        if gains.max() >= settings.renewal_gain:
+            candidates = candidates[[gains.argmax()]]
+        elif gains.min() <= -settings.renewal_gain:
+            return linearized  # they tell, and no other is better
     return _best(library, linearized, candidates)[0]
+
+
+def _some(linearized: LinearizedWindows, settings: RefitSettings) -> LinearizedWindows | None:
+    """Some of the windows, evenly spread; None where they are few."""
+    count = len(linearized.windows)
+    if count < settings.stride * settings.fewest:
+        return None
+    return linearized.take(np.arange(0, count, settings.stride))
 
 
 def _best(
@@ -351,17 +380,8 @@ def _best(
     """The best of several thetas (K, m) if it is better than the present one, and its gain."""
     windows = linearized.windows
     noise = linearized.whiten.noise
-    predictions = library.predict(candidates, windows)
-    # Evaluate each theta under the covariance that it implies.
-    whiteners = []
-    values = []
-    for theta, predicted in zip(candidates, predictions, strict=True):
-        whiten = whitener(library, windows, theta, noise, linearized.loadings)
-        there = replace(linearized, whiten=whiten)
-        whiteners.append(whiten)
-        values.append(there.log_likelihood_of(predicted).sum())
-    finite = np.where(np.isfinite(values), values, -np.inf)
-    best = int(np.nanargmax(finite))
+    predictions, whiteners, values = _evaluated(library, linearized, candidates)
+    best = int(values.argmax())
     gain = float(values[best] - linearized.log_likelihood.sum())
     if not gain > 0:
         return linearized, 0.0
@@ -378,3 +398,22 @@ def _best(
         shifted=True,
     )
     return better, gain
+
+
+def _evaluated(
+    library: Library, linearized: LinearizedWindows, candidates: Array
+) -> tuple[Array, list[Whitener], Array]:
+    """Predictions (K, W, n) of several thetas (K, m), each with the covariance that it implies, and
+    the log-likelihoods (K,), -inf where there is none.
+    """
+    windows = linearized.windows
+    predictions = library.predict(candidates, windows)
+    whiteners = []
+    values = []
+    for theta, predicted in zip(candidates, predictions, strict=True):
+        noise = linearized.whiten.noise
+        whiten = whitener(library, windows, theta, noise, linearized.loadings)
+        there = replace(linearized, whiten=whiten)
+        whiteners.append(whiten)
+        values.append(there.log_likelihood_of(predicted).sum())
+    return predictions, whiteners, np.where(np.isfinite(values), values, -np.inf)

@@ -138,7 +138,7 @@ class Screening:
     counted : set
         Which of these have been counted as simulator steps, also by a search that was resumed.
     kept : list
-        All windows as they were screened last, and their responses.
+        All windows that were screened last, and their responses as they were first found.
     best : dict
         By an effect's label, the probe along which it promised most on all windows.
     """
@@ -150,7 +150,7 @@ class Screening:
     first_windows: LinearizedWindows | None = None
     first_responses: Responses = field(default_factory=dict)
     counted: set[tuple[str, Probe]] = field(default_factory=set)
-    kept: list[tuple[LinearizedWindows, Responses]] = field(default_factory=list)
+    kept: list[tuple[Windows, Responses]] = field(default_factory=list)
     best: dict[str, Probe] = field(default_factory=dict)
 
     def __call__(
@@ -232,11 +232,36 @@ class Screening:
     def _responses_of(self, linearized: LinearizedWindows) -> Responses:
         """The responses of all windows that are known by now; what is added to them is kept."""
         for windows, responses in self.kept:
-            if windows is linearized:
+            if windows is linearized.windows:
                 return responses
         responses = {}
-        self.kept = [(linearized, responses), *self.kept[: self.settings.kept - 1]]
+        self.kept = [(linearized.windows, responses), *self.kept[: self.settings.kept - 1]]
         return responses
+
+    def slopes(self, windows: Windows, instance: EffectInstance) -> Array | None:
+        """Return the derivatives of predictions by an effect's magnitudes, as screening saw them.
+
+        Parameters
+        ----------
+        windows : Windows
+            W windows of n measurements.
+        instance : EffectInstance
+            The effect.
+
+        Returns
+        -------
+        (q, W, n) array or None
+            None where predictions are not smooth in the magnitudes, or not all were probed there.
+        """
+        smooth = all(quantity.smooth for quantity in instance.quantities)
+        probe = self.best.get(instance.label)
+        if probe is None or not smooth or instance.time_profile or instance.linear_in:
+            return None
+        known = next((known for kept, known in self.kept if kept is windows), {})
+        changes = known.get((instance.label, probe))
+        if changes is None or len(probe) != len(instance.quantities):
+            return None
+        return np.asarray(np.tensordot(np.linalg.pinv(np.array(probe)), changes, axes=1))
 
     def _first_choice(
         self, some: LinearizedWindows, free: np.ndarray, instances: Sequence[EffectInstance]

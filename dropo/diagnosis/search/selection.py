@@ -529,6 +529,7 @@ class Selection:
             self.floor,
             nonsmooth=nonsmooth,
             known=jacobian,
+            slopes=self.screening.slopes(start.windows, instance),
             settings=self.settings.refit,
         )
         noise = fitted.whiten.noise

@@ -13,7 +13,7 @@ References
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,8 +25,9 @@ from dropo.diagnosis.search.linearization import (
     LinearizedWindows,
     estimate_noise,
     linearize,
-    shift_linearization,
+    with_other_noise,
 )
+from dropo.diagnosis.search.whitening import Whitener
 from dropo.diagnosis.search.windows import Windows
 
 
@@ -86,6 +87,11 @@ def absent_in_single_steps(
     is_short = windows.length == 1 or windows.start_sd is not None
     if is_short or not np.diff(windows.segments.actions.ravel()).any():
         return False
+    # The windows' first steps are single steps too, and linearized already: mostly they are enough.
+    firsts = [_with_own_noise(library, _first_steps(side), floor) for side in sides]
+    fraction, error = _magnitude(library, firsts, instance, settings)
+    if error > 0 and fraction > settings.z * error:
+        return False
     fraction, error = magnitude_in_single_steps(library, sides, instance, floor, settings)
     nothing = fraction < settings.z * error
     not_full = fraction < 1 - settings.z * error
@@ -113,7 +119,21 @@ def magnitude_in_single_steps(
     error : float
         Its standard error, clustered by window; 0 where the steps do not respond.
     """
-    singles = [_single_steps(library, side, floor, settings) for side in sides]
+    singles = []
+    for side in sides:
+        apart = _cut_apart(library, side.windows, settings.maximum)
+        single = linearize(library, apart, side.theta, side.whiten.noise)
+        singles.append(_with_own_noise(library, single, floor))
+    return _magnitude(library, singles, instance, settings)
+
+
+def _magnitude(
+    library: Library,
+    singles: Sequence[LinearizedWindows],
+    instance: EffectInstance,
+    settings: SingleStepSettings,
+) -> tuple[float, float]:
+    """The fraction of an effect's magnitude in some single steps, and its standard error."""
     responses = [response_of(library, single, instance) for single in singles]
     change = 0.0
     score = np.zeros(0)
@@ -133,14 +153,35 @@ def magnitude_in_single_steps(
     return 1 + change, float(np.sqrt((score**2).sum()) / weight.sum())
 
 
-def _single_steps(
-    library: Library, linearized: LinearizedWindows, floor: Array, settings: SingleStepSettings
+def _with_own_noise(
+    library: Library, singles: LinearizedWindows, floor: Array
 ) -> LinearizedWindows:
-    """The steps of windows as windows of their own, under the noise that they have."""
-    apart = _cut_apart(library, linearized.windows, settings.maximum)
-    singles = linearize(library, apart, linearized.theta, linearized.whiten.noise)
+    """Single steps under the noise that they have."""
     noise = estimate_noise(singles, singles.whiten.noise, floor)
-    return shift_linearization(library, singles, linearized.theta, noise)
+    return with_other_noise(library, singles, noise)
+
+
+def _first_steps(linearized: LinearizedWindows) -> LinearizedWindows:
+    """The first steps of windows, as windows of their own."""
+    windows = linearized.windows
+    noise = linearized.whiten.noise
+    p = len(noise.sigma)
+    old = windows.segments
+    segments = old.trajectories.from_rows(old.steps[:, 0], every_step=True)
+    block = np.arange(len(windows))
+    first = Windows(segments, windows.measured[:, :p], block, 1, windows.start_sd)
+    # Of the lengths of steps, the first alone matters.
+    loadings = linearized.whiten.loadings[:, :p]
+    kept = np.ones(loadings.shape[2], dtype=bool)
+    kept[2 * p + 1 : 2 * p + linearized.clocks] = False
+    return replace(
+        linearized,
+        windows=first,
+        residuals=linearized.residuals[:, :p],
+        shift=linearized.shift[:, :p],
+        whiten=Whitener(loadings[:, :, kept], linearized.whiten.scale[kept], noise),
+        shifted=True,
+    )
 
 
 def _by_window(single: LinearizedWindows, response: Array, change: float) -> tuple[Array, Array]:

@@ -12,7 +12,7 @@ from dropo.core.records.trajectories import Ints, Segments
 from dropo.core.services.errors import BadFile
 from dropo.core.services.tables import Report, Table, number, steps_text
 from dropo.core.services.validation import Array
-from dropo.evaluation.held_out import errors_of, held_out_part, held_out_windows
+from dropo.evaluation.held_out import OF_DIAGNOSIS, errors_of, held_out_part, held_out_windows
 from dropo.mjmodel.numbers import changed_numbers
 from dropo.mjmodel.options import physics_step
 from dropo.mjmodel.warnings import suppress_mujoco_warnings
@@ -169,7 +169,7 @@ def verify(folder: str | Path, *, trusted: bool = False) -> Verification:
     part = held_out_part(problem, int(content["window_steps"]))
     errors: list[Verified] = []
     for i, announced in enumerate(content["extended"]["horizons"]):
-        windows = held_out_windows(part, announced["steps"])
+        windows = held_out_windows(part, announced["steps"], OF_DIAGNOSIS)
         if announced["rmse"] is None or not len(windows):
             continue
         with suppress_mujoco_warnings():

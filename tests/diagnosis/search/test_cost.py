@@ -1,5 +1,6 @@
 """What a search does not simulate twice, and that it comes to the same."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,13 +10,14 @@ from dropo import Diagnose
 from dropo.core.contracts.support.time_profile import growing, setting_in
 from dropo.core.services.files.evaluation_log import EvaluationLog
 from dropo.diagnosis.far_off.search import FarOffSearch
+from dropo.diagnosis.search import single_steps
 from dropo.diagnosis.search.linearization import (
     Library,
     linearize,
     shift_linearization,
     with_other_noise,
 )
-from dropo.diagnosis.search.refit import NO_INDICES, refit
+from dropo.diagnosis.search.refit import NO_INDICES, RefitSettings, _scan, refit
 from dropo.diagnosis.search.screening import Screening, all_probes
 from dropo.diagnosis.search.whitening import white
 from dropo.diagnosis.search.windows import split
@@ -131,10 +133,76 @@ def test_a_fit_that_changed_nothing_is_not_linearized_anew(arm):
     assert fitted.linearized_at[1] is linearized.linearized_at[1]
     _, steps = spent(library, lambda: refit(library, linearized, NO_INDICES, floor))
     assert steps < 0.5 * whole
+    _, steps = spent(library, lambda: refit(library, fitted, NO_INDICES, floor))
+    assert steps == 0
     far = theta + np.eye(len(theta))[0] * 0.5
     off = shift_linearization(library, linearized, far, noise)
     renewed = refit(library, off, NO_INDICES, floor)
     assert renewed.linearized_at[0] is far
+
+
+def test_starts_lower_in_one_velocity_are_simulated_where_predictions_bend(arm):
+    """An arm's predictions are straight in its velocities: one start serves both, and likelihoods
+    are those of all starts within a thousandth of a nat a window. Control: where nothing counts as
+    straight each is simulated.
+    """
+    library, windows, theta, noise = arm
+    each = replace(library, differences=replace(library.differences, straight=0.0))
+    quick, steps = spent(library, lambda: linearize(library, windows, theta, noise))
+    central, more = spent(library, lambda: linearize(each, windows, theta, noise))
+    once = windows.steps * library.simulator.steps_per_action
+    assert (steps, more) == (8 * once, 10 * once)
+    off = quick.log_likelihood - central.log_likelihood
+    assert 0 < np.abs(off).max() < 1e-3
+
+
+def test_first_steps_of_windows_tell_that_an_effect_is_there(monkeypatch):
+    """Nothing is linearized anew then. Control: of an effect that they do not show, single steps
+    all over the windows are asked.
+    """
+    asked = []
+    monkeypatch.setattr(
+        single_steps, "magnitude_in_single_steps", lambda *_: asked.append(True) or (1.0, 0.1)
+    )
+    for hidden, times in (([("joint_damping:elbow", [0.1])], 0), ([], 1)):
+        found = problem(hidden)
+        damping = instance(found.simulator, "joint_damping:elbow")
+        library = Library(found.simulator.with_effects([damping]), [damping], 0)
+        noise = white(np.full(len(found.simulator.signals), SIGMA))
+        theta = np.array([0.1])
+        sides = [linearize(library, side, theta, noise) for side in split(found, LENGTH, 64)]
+        assert not single_steps.absent_in_single_steps(library, sides, damping, 1e-6 * noise.sigma)
+        assert len(asked) == times
+
+
+def test_slopes_of_the_screening_begin_a_trial(arm):
+    """Those that predictions have, within a hundredth; none of what is not smooth."""
+    library, windows, theta, noise = arm
+    screening = Screening(library, 1e-6 * noise.sigma)
+    linearized = linearize(library, windows, theta, noise)
+    damping, from_a_moment, _ = library.instances
+    assert screening.slopes(windows, damping) is None
+    screening(linearized, np.arange(1), library.instances)
+    (slopes,), steps = spent(library, lambda: screening.slopes(windows, damping))
+    assert steps == 0
+    (exact,) = library.jacobian(theta, library.places[damping.label], windows)
+    assert np.abs(slopes - exact).max() < 0.05 * np.abs(exact).max()
+    assert screening.slopes(windows, from_a_moment) is None
+
+
+def test_a_scan_is_made_on_some_windows(arm):
+    """Its best number is simulated on all: a third of the steps, and the same number."""
+    library, windows, theta, noise = arm
+    there = theta.copy()
+    there[library.places["joint_damping:elbow"]] = 0.05
+    linearized = linearize(library, windows, there, noise)
+    number = int(library.places["joint_damping:elbow"][0])
+    settings = RefitSettings()
+    quick, steps = spent(library, lambda: _scan(library, linearized, number, settings))
+    every = replace(settings, fewest=1000)
+    whole, more = spent(library, lambda: _scan(library, linearized, number, every))
+    assert steps < 0.4 * more
+    assert quick.theta[number] == whole.theta[number] < 0.05
 
 
 def test_motions_without_a_certain_effect_are_counted(monkeypatch):

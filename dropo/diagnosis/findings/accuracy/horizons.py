@@ -13,7 +13,7 @@ from dropo.core.services.validation import Array
 from dropo.diagnosis.search.linearization import Library
 from dropo.diagnosis.search.trials import State
 from dropo.evaluation.held_out import (
-    SETTINGS,
+    OF_DIAGNOSIS,
     DataPart,
     HeldOutSettings,
     HorizonErrors,
@@ -151,7 +151,7 @@ def horizons(
     thetas: Sequence[Array],
     last: State,
     rng: np.random.Generator,
-    settings: HeldOutSettings = SETTINGS,
+    settings: HeldOutSettings = OF_DIAGNOSIS,
     draws: int = 2,
 ) -> list[list[Horizon]]:
     """Return the errors of several models by horizon.
@@ -176,7 +176,7 @@ def after_horizons(
     thetas: Sequence[Array],
     last: State,
     rng: np.random.Generator,
-    settings: HeldOutSettings = SETTINGS,
+    settings: HeldOutSettings = OF_DIAGNOSIS,
     draws: int = 2,
 ) -> list[AfterHorizon]:
     """Predict data held out by several models, over every horizon.
@@ -262,7 +262,7 @@ def with_numbers(
     found: Sequence[AfterHorizon],
     rng: np.random.Generator,
     draws: int,
-    settings: HeldOutSettings = SETTINGS,
+    settings: HeldOutSettings = OF_DIAGNOSIS,
     drawn: DrawnNumberSettings = DRAWN,
 ) -> list[AfterHorizon]:
     """Add to what noise makes of errors what it makes of the numbers that were fitted.
@@ -359,7 +359,7 @@ def errors_after(
         One of each model.
     """
     part, spread = _part_and_spread(problem, library, last)
-    windows = held_out_windows(part, last.train.windows.length)
+    windows = held_out_windows(part, last.train.windows.length, OF_DIAGNOSIS)
     predicted = library.simulator.predict(np.stack(thetas), windows)
     return errors_of(library.simulator, predicted, windows, spread)
 
