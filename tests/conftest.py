@@ -3,6 +3,7 @@
 `pytest` runs the quick tests, `pytest -m ""` the slow ones too, `pytest -m study` the studies.
 """
 
+import gc
 import json
 import os
 import signal
@@ -53,6 +54,16 @@ def pytest_addoption(parser):
         action="store_true",
         help="write what the files that are run take to tests/durations.json",
     )
+
+
+def pytest_xdist_auto_num_workers():
+    """One more than cores: tests wait for processes that they start."""
+    return os.cpu_count() + 1
+
+
+def pytest_collection_finish():
+    """What has been imported stays; looking through it for garbage takes one second in thirty."""
+    gc.freeze()
 
 
 def pytest_configure(config):

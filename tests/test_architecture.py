@@ -142,8 +142,9 @@ def is_model(node):
 
 @cache
 def nodes_of(source):
-    """Everything in a source, which several tests look through."""
-    return list(ast.walk(ast.parse(source)))
+    """The attributes, calls and imports of a source, which several tests look through."""
+    kinds = (ast.Attribute, ast.Call, ast.Import, ast.ImportFrom)
+    return [node for node in ast.walk(ast.parse(source)) if isinstance(node, kinds)]
 
 
 def reads(source):
@@ -151,7 +152,7 @@ def reads(source):
     fields = fields_of_models()
     found = []
     for node in nodes_of(source):
-        by_name = isinstance(node, ast.Call) and ast.unparse(node.func) in ("getattr", "setattr")
+        by_name = isinstance(node, ast.Call) and last_name(node) in ("getattr", "setattr")
         if by_name and is_model(node.args[0]):
             found.append(f"{node.lineno}: {ast.unparse(node)}")
         if not isinstance(node, ast.Attribute):

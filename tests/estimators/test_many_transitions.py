@@ -34,7 +34,7 @@ def pushes(rows, length=20, noise=NOISE):
     return Problem("pushes", simulator, data, epsilon=noise)
 
 
-@pytest.mark.parametrize("likelihood", ["emulated", "linear", "unscented"])
+@pytest.mark.parametrize("likelihood", ["emulated", "unscented"])
 def test_memory_and_blocks_change_nothing(likelihood, monkeypatch):
     """Rows in files, and a few rows a block, give the fit of one block in memory to rounding."""
     problem = pushes(600)

@@ -322,13 +322,12 @@ def pushes(seed, masses=None, groups=50, simulator=None):
     return Problem("pushes", simulator or SlidingBlock(), data, epsilon=1e-6), draws
 
 
-@pytest.mark.parametrize("family", ["truncated_gaussian", "full"])
-def test_groups_far_out_have_their_own_parameters(family):
+def test_groups_far_out_have_their_own_parameters():
     """Masses of a skewed population, some 5 spreads off: every group within 5 of its standard
     deviations (RMS below 1.25), and the population's moments those of the draws.
     """
     problem, draws = pushes(0)
-    fit = RandomEffects(family=family).fit(problem, rng=0)
+    fit = RandomEffects(family="full").fit(problem, rng=0)
     sd = np.sqrt(np.einsum("gdd->gd", fit.groups.covariance))
     z = (fit.groups.mean - draws) / sd
     assert np.abs(draws[:, 0] - fit.mean[0]).max() > 3 * fit.sd[0]  # it has such groups

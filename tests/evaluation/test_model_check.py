@@ -40,8 +40,7 @@ def test_limits_are_those_of_chance():
     assert stats.binom.cdf(11, SETS, 0.95) < 1 / 180
 
 
-@pytest.mark.parametrize("noise", ["independent", "autocorrelated"])
-@pytest.mark.parametrize("size", [MANY, FEW])
+@pytest.mark.parametrize(("noise", "size"), [("independent", FEW), ("autocorrelated", MANY)])
 def test_a_right_model_is_not_accused(noise, size):
     """Fewer than 3 of 15 data sets, with many short trajectories and with two long ones."""
     assert sum(not fitted(noise, seed, size)[0].trusted for seed in range(SETS)) < 3

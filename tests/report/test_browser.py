@@ -36,6 +36,7 @@ def browser(tmp_path_factory):
     found = webdriver.Chrome(
         options=options, service=webdriver.ChromeService(executable_path=driver)
     )
+    found.execute_cdp_cmd("Emulation.setFocusEmulationEnabled", {"enabled": True})
     yield found
     found.quit()
 

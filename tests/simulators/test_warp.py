@@ -43,8 +43,10 @@ MASS = FieldParameter("mass", 0.5, 2.0, field="body_mass", element="ball")
 
 @pytest.fixture(scope="module")
 def warp():
-    """The package, without which a test is skipped."""
-    return [pytest.importorskip(name) for name in NEEDED]
+    """The packages, without which a test is skipped; they compile faster what runs once."""
+    packages = [pytest.importorskip(name) for name in NEEDED]
+    packages[0].config.optimization_level = 1
+    return packages
 
 
 @pytest.fixture(scope="module")

@@ -28,10 +28,10 @@ def is_tensor(x: Any) -> bool:
     Returns
     -------
     bool
-        False wherever torch has not been imported.
+        False wherever torch has not been imported, or is being imported by another thread.
     """
-    torch = sys.modules.get("torch")
-    return torch is not None and isinstance(x, torch.Tensor)
+    tensor = getattr(sys.modules.get("torch"), "Tensor", None)
+    return tensor is not None and isinstance(x, tensor)
 
 
 def namespace(*arrays: Any) -> Any:

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -29,6 +30,12 @@ def test_arrays_stay_arrays():
     assert not is_tensor(x)
     assert namespace(x, 1.0).exp(x) is not None
     assert [type(y) for y in together(x, 2, [1, 2])] == [np.ndarray] * 3
+
+
+def test_a_torch_that_another_thread_is_importing_is_none(monkeypatch):
+    """It is in `sys.modules` before it has anything in it."""
+    monkeypatch.setitem(sys.modules, "torch", ModuleType("torch"))
+    assert not is_tensor(np.ones(2))
 
 
 def test_one_tensor_makes_all_of_them_tensors():
