@@ -42,7 +42,7 @@ from dropo.diagnosis.findings.remains.remaining import are_measured, remaining
 from dropo.diagnosis.findings.remains.unexplained_forces import impulses
 from dropo.diagnosis.findings.stability import stability
 from dropo.diagnosis.findings.to_type import to_type
-from dropo.diagnosis.laws.discovery import find_laws
+from dropo.diagnosis.laws.discovery import find_laws, may_stand_for_one_law
 from dropo.diagnosis.parts import Cause, Leader, Remaining
 from dropo.diagnosis.regression.wiring import Wiring, wiring_of
 from dropo.diagnosis.reporting import (
@@ -382,6 +382,11 @@ class Diagnose:
             return self._result(task, *further, progress)
         (draws,) = task.rng.spawn(1)
         after, of_each = self._errors_after(setup, searched, draws)
+        if self._laws_beyond_windows(setup, searched, rest, after):
+            further = self._with_laws(setup, searched, task.rng)
+            if further is not None:
+                return self._result(task, *further, progress)
+            setup = replace(setup, sought=True)
         worse = self._worse(of_each, searched)
         far_off = setup.explained is not None
         if worse and not far_off and len(setup.worse) < self.settings.horizons.refused:
@@ -549,6 +554,33 @@ class Diagnose:
         setup = replace(setup, selection=laws.selection, library=laws.selection.library)
         return setup, SearchedEffects(laws.first, laws.last, laws.reviews, laws=laws)
 
+    def _laws_beyond_windows(
+        self,
+        setup: SearchSetup,
+        searched: SearchedEffects,
+        rest: Remaining,
+        after: Sequence[AfterHorizon],
+    ) -> bool:
+        """Whether laws are to be looked for that windows do not ask for: errors after other
+        horizons are larger than noise makes them.
+        """
+        ended = searched.interrupted or setup.explained is not None or setup.sought
+        if ended or searched.laws is not None or not self._names_laws:
+            return False
+        if self._wants_laws(setup.library, searched.last, rest):
+            # They were looked for already.
+            return False
+        usual = self._usual_horizon(setup, searched.last)
+        measured = are_measured(setup.problem)
+        return bool(beyond_noise(after, 2, usual, self.settings.horizons, measured=measured))
+
+    def _usual_horizon(self, setup: SearchSetup, last: State) -> int | None:
+        """The horizon of windows, where the noise is known there alone: that of starts that were
+        estimated, or of control steps.
+        """
+        other_noise = bool(setup.problem.estimated) or last.train.whiten.noise.timing > 0
+        return setup.train.length if other_noise else None
+
     def _errors_after(
         self, setup: SearchSetup, searched: SearchedEffects, rng: np.random.Generator
     ) -> tuple[list[AfterHorizon], list[AfterHorizon]]:
@@ -597,9 +629,7 @@ class Diagnose:
         windows say; and what to do then, a sentence each.
         """
         settings = self.settings.horizons
-        # The noise of starts that were estimated, and of control steps, is known in windows.
-        other_noise = bool(setup.problem.estimated) or last.train.whiten.noise.timing > 0
-        usual = setup.train.length if other_noise else None
+        usual = self._usual_horizon(setup, last)
         measured = are_measured(setup.problem)
         found = beyond_noise(after, 2, usual, settings, measured=measured)
         if found and setup.explained is None and len(last.free):
@@ -616,11 +646,18 @@ class Diagnose:
         beyond = beyond_windows(found, rest, setup.train.length)
         return replace(rest, calibrated=False, where=(*rest.where, in_words(found))), beyond
 
+    @property
+    def _names_laws(self) -> bool:
+        """Whether laws are among what is looked for."""
+        return self.effects is None or LAW in self.effects
+
     def _wants_laws(self, library: Library, last: State, rest: Remaining) -> bool:
-        """Whether a law is to be looked for: something remains, or an effect only acts like it."""
-        if self.effects is not None and LAW not in self.effects:
+        """Whether a law is to be looked for: something remains, an effect only acts like it, or
+        several effects at a joint may be one law.
+        """
+        if not self._names_laws:
             return False
-        if not rest.calibrated:
+        if not rest.calibrated or may_stand_for_one_law(library, last):
             return True
         return any(not invariance(library, last.test, one).constant for one in last.accepted)
 

@@ -192,6 +192,8 @@ class SearchSetup:
         By their labels, effects with which errors after some horizon are larger.
     compared : bool
         Whether sets of effects were compared, and a better one was found.
+    sought : bool
+        Whether laws were looked for in vain beyond what windows show.
     """
 
     problem: Problem
@@ -208,6 +210,7 @@ class SearchSetup:
     won: float = 0.0
     worse: Mapping[str, Leader] = field(default_factory=dict)
     compared: bool = False
+    sought: bool = False
 
     @property
     def instances(self) -> list[EffectInstance]:

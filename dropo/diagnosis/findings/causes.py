@@ -126,6 +126,7 @@ def causes(
                 Alternative("law", one.target, "", one.why, formula=one.formula)
                 for one in law.others
             )
+        shape = _shape(last, instance) or (None if law is None else law.curve or None)
         sizes = estimate(library, last, instance, deviations, degrees)
         cause = Cause(
             effect=instance.effect,
@@ -138,7 +139,7 @@ def causes(
             rmse_before=before,
             rmse_after=after,
             confused_with=alternatives,
-            acts_like=_shape(last, instance) if regimes.constant else regimes.variable,
+            acts_like=shape if regimes.constant else regimes.variable,
             stability=None if again is None else again(instance, own, alternatives),
             formula=instance.formula,
             called="" if law is None else law.called,

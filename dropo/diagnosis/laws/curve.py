@@ -65,7 +65,7 @@ def law_curve(
     edges = np.unique(np.quantile(x, np.linspace(0, 1, BINS + 1)))
     inside = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, max(len(edges) - 2, 0))
     masks = [inside == b for b in range(max(len(edges) - 1, 1))]
-    rows, _ = forces.columns(np.array(masks, dtype=float), joint.qvel)
+    rows, _ = forces.unexplained(forces.rows(np.array(masks, dtype=float), joint.qvel))
     information = rows @ rows.T / forces.variance
     covariance = np.linalg.pinv(information, hermitian=True)
     force = covariance @ (rows @ forces.residuals) / forces.variance

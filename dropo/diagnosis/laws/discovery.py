@@ -4,6 +4,7 @@ confirmed on data held out in competition with the effects of the registry.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -26,14 +27,20 @@ from dropo.diagnosis.search.linearization import (
     estimate_noise,
     whitener,
 )
-from dropo.diagnosis.search.review import Review, review
+from dropo.diagnosis.search.review import Review, review, without_effects
 from dropo.diagnosis.search.screening import Candidate
 from dropo.diagnosis.search.selection import Selection
-from dropo.diagnosis.search.trials import Batch, State, Trial, most_plausible_first
+from dropo.diagnosis.search.trials import (
+    Batch,
+    State,
+    Trial,
+    most_plausible_first,
+    penalized_log_likelihood,
+)
 from dropo.effects.law import hidden_states, joint_variables, law_instance
 from dropo.effects.support.formula_values import Program, evaluate
 from dropo.mjmodel.dynamics.forces import motors
-from dropo.mjmodel.joints import Joint, joints
+from dropo.mjmodel.joints import Joint, actuators, joints
 from dropo.mjmodel.robot_simulator import RobotSimulator
 
 LETTER = "c"
@@ -48,6 +55,8 @@ class LawSettings:
     ----------
     refitted : int
         Formulas that are fitted by simulation for each law.
+    replacing : int
+        Formulas that are so fitted in the place of effects that were accepted at a joint.
     laws : int
         Laws that are accepted at most, each at a joint of its own.
     similarity : float
@@ -65,6 +74,7 @@ class LawSettings:
     """
 
     refitted: int = 6
+    replacing: int = 3
     laws: int = 2
     similarity: float = 0.998
     worse: float = 0.03
@@ -77,6 +87,15 @@ class LawSettings:
 SETTINGS = LawSettings()
 _Tried = tuple[Trial, Proposal, list[Proposal], Library]
 """A refitted law: its trial, its formula, others that do the same, and the library with it."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Idea:
+    """A proposed formula, others that do the same, and the model that it is added to."""
+
+    proposal: Proposal
+    alike: list[Proposal]
+    base: State
 
 
 @dataclass(frozen=True)
@@ -108,10 +127,18 @@ class FoundLaw:
         The nearest law that has a name.
     others : tuple of OtherFormula
         Other formulas that the data cannot tell from it.
+    shapes : tuple of LawTerm
+        Its terms.
+    curve : str
+        The variable over which its terms, and known effects beside it, draw one curve together:
+        another sum may draw the same, and none of them is a cause by itself. "" where each stands
+        alone.
     """
 
     called: str
     others: tuple[OtherFormula, ...]
+    shapes: tuple[LawTerm, ...] = ()
+    curve: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,11 +207,11 @@ def find_laws(
         taken = {instance.target for instance in last.accepted if instance.formula}
         forces = residual_forces(selection.library, last, selection.floor)
         searched = {instance.effect for instance in instances}
-        pool, proposals = _proposals(selection.library.simulator, forces, taken, searched, settings)
+        pool, ideas = _ideas(selection, last, forces, taken, searched, settings)
         tried = max(tried, pool)
         count = len(instances) + pool
         selection.progress(0.9, f"fitting laws, of {pool} terms tried")
-        found = _confirmed(selection, last, first, proposals, count, settings)
+        found = _confirmed(selection, last, ideas, count)
         if found is None:
             break
         law, summary, state, larger = found
@@ -194,22 +221,33 @@ def find_laws(
         last, reviews = review(selection, last)
         last = selection.run(first, last, instances)
         last, reviews = review(selection, last)
-    present = {instance.label for instance in last.accepted}
-    laws = {label: summary for label, summary in laws.items() if label in present}
+    laws = {
+        one.label: replace(laws[one.label], curve=_curve(selection.library, last, one, laws))
+        for one in last.accepted
+        if one.label in laws
+    }
     if not laws or _some_horizon_is_worse(problem, selection, begun, last, rng, settings):
         return None
     selection.latest = last
     return WithLaws(selection, first, last, reviews, laws, tried)
 
 
-def _proposals(
-    simulator: RobotSimulator,
+def _ideas(
+    selection: Selection,
+    state: State,
     forces: ResidualForces,
     taken: set[str | None],
     searched: set[str],
     settings: LawSettings,
-) -> tuple[int, list[tuple[Proposal, list[Proposal]]]]:
-    """How many terms there are, and the formulas that promise most with others like them."""
+) -> tuple[int, list[_Idea]]:
+    """How many terms there are, and the formulas that promise most.
+
+    They are added to the model, or to the model without the effects at their joint that they may
+    stand for: several of these look like one law, and leave too little of it to be seen.
+    """
+    simulator = selection.library.simulator
+    if not isinstance(simulator, RobotSimulator):
+        raise AssertionError("laws are looked for around a MuJoCo model")
     measured = set(simulator.layout.names)
     places = [
         joint
@@ -224,34 +262,139 @@ def _proposals(
         for joint in places
     }
     pool = sum(map(len, shapes.values()))
-    found: list[Proposal] = []
-    steps = forces.windows.windows.steps
+    added: list[Proposal] = []
+    replacing: list[tuple[Proposal, list[EffectInstance]]] = []
     for joint in places:
         own = shapes[joint.name]
-        columns, full = _columns(simulator, forces, joint, own, settings)
-        variance = forces.variance
-        found += propose(
-            joint.name,
-            own,
-            columns,
-            forces.residuals,
-            variance,
-            steps,
-            pool,
-            full,
-            settings.pursuit,
-        )
-    found.sort(key=lambda one: -one.score)
-    groups = different(found, settings.similarity)
-    # The best, but of each joint and number of terms two at least where there is room.
+        rows = _rows(simulator, forces, joint, own, settings)
+        added += _proposals(joint, own, rows, forces, pool, settings)
+        replaced = _stand_ins(simulator, state, joint, own)
+        if replaced:
+            numbers = np.concatenate([selection.library.places[one.label] for one in replaced])
+            bare = forces.without(selection.library, numbers)
+            found = _proposals(joint, own, rows, bare, pool, settings)
+            replacing += [(proposal, replaced) for proposal in found]
+    ideas = [
+        _Idea(first, alike, state) for first, alike in _chosen(added, settings.refitted, settings)
+    ]
+    by_joint = {proposal.joint: replaced for proposal, replaced in replacing}
+    bases = {name: without_effects(selection, state, own) for name, own in by_joint.items()}
+    proposals = [proposal for proposal, _ in replacing]
+    for first, alike in _chosen(proposals, settings.replacing, settings):
+        ideas.append(_Idea(first, alike, bases[first.joint]))
+    return pool, ideas
+
+
+def _stand_ins(
+    simulator: RobotSimulator, state: State, joint: Joint, shapes: Sequence[LawTerm]
+) -> list[EffectInstance]:
+    """The accepted effects at a joint, or of its drives, for which terms of laws stand."""
+    kinds = {effect for shape in shapes for effect in shape.effects}
+    places = {joint.name}
+    for drive in actuators(simulator.model):
+        if drive.joint is not None and drive.joint.id == joint.id:
+            places.add(drive.name)
+    return [one for one in state.accepted if one.effect in kinds and one.target in places]
+
+
+def _curve(
+    library: Library, state: State, law: EffectInstance, laws: Mapping[str, FoundLaw]
+) -> str:
+    """The variable over which a law and what stands beside it draw one curve together.
+
+    A sine and a cosine of one angle are one shape.
+    """
+    simulator = library.simulator
+    if not isinstance(simulator, RobotSimulator):
+        raise AssertionError("laws are looked for around a MuJoCo model")
+    joint = joint_at(simulator, str(law.target))
+    every = shapes_at(Ranges(np.ones(2), np.ones(2), True, (), 1.0, True))
+    beside = {one.effect for one in _stand_ins(simulator, state, joint, every)}
+    pieces: dict[tuple[str, str], set[str]] = {}
+
+    def note(shape: LawTerm, called: str) -> None:
+        """A piece of the curve over the one variable that a term has."""
+        text = f"{LETTER} * ({shape.written([name for name, _ in shape.own])})"
+        program = program_of(law_instance(simulator.effect_context, joint.name, text))
+        if len(program.variables) == 1 and not program.hidden:
+            pieces.setdefault(program.variables[0], set()).add(called)
+
+    for i, shape in enumerate(laws[law.label].shapes):
+        ripple = shape.text.replace("sin(", "cos(")
+        note(shape, ripple if "cos(" in ripple else f"{i}")
+    for shape in every:
+        for effect in beside.intersection(shape.effects):
+            note(shape, effect)
+    for (name, owner), called in pieces.items():
+        if len(called) > 1:
+            field = {"q": "qpos", "v": "qvel"}.get(name, name)
+            return f"{field}.{owner or joint.name}"
+    return ""
+
+
+def may_stand_for_one_law(library: Library, state: State) -> bool:
+    """Say whether several effects that were accepted at one joint may be one law.
+
+    Parameters
+    ----------
+    library : Library
+        The simulator with every effect.
+    state : State
+        The model with the effects.
+
+    Returns
+    -------
+    bool
+    """
+    simulator = library.simulator
+    if not isinstance(simulator, RobotSimulator):
+        return False
+    every = shapes_at(Ranges(np.ones(2), np.ones(2), True, (), 1.0, True))
+    found = (_stand_ins(simulator, state, joint, every) for joint in joints(simulator.model))
+    return any(len(one) > 1 for one in found)
+
+
+def _proposals(
+    joint: Joint,
+    shapes: list[LawTerm],
+    rows: Array,
+    forces: ResidualForces,
+    pool: int,
+    settings: LawSettings,
+) -> list[Proposal]:
+    """The formulas of a joint that promise something.
+
+    rows: (K, N) the whitened responses to its K terms; pool: terms at all joints.
+    """
+    columns, full = forces.unexplained(rows)
+    return propose(
+        joint.name,
+        shapes,
+        columns,
+        forces.residuals,
+        forces.variance,
+        forces.windows.windows.steps,
+        pool,
+        full,
+        settings.pursuit,
+    )
+
+
+def _chosen(
+    proposals: list[Proposal], most: int, settings: LawSettings
+) -> list[tuple[Proposal, list[Proposal]]]:
+    """The best that differ, but of each joint and number of terms two at most, each with others
+    like it.
+    """
+    ordered = sorted(proposals, key=lambda one: -one.score)
     chosen: list[tuple[Proposal, list[Proposal]]] = []
     counts: dict[tuple[str, int], int] = {}
-    for group in groups:
+    for group in different(ordered, settings.similarity):
         key = (group[0].joint, len(group[0].shapes))
         counts[key] = counts.get(key, 0) + 1
-        if counts[key] <= 2 and len(chosen) < settings.refitted:
+        if counts[key] <= 2 and len(chosen) < most:
             chosen.append(group)
-    return pool, chosen
+    return chosen
 
 
 def _ranges(
@@ -276,14 +419,14 @@ def _ranges(
     )
 
 
-def _columns(
+def _rows(
     simulator: RobotSimulator,
     forces: ResidualForces,
     joint: Joint,
     shapes: Sequence[LawTerm],
     settings: LawSettings,
-) -> tuple[Array, Array]:
-    """The whitened responses (K, N) to the terms, and their lengths (K,) with all they have."""
+) -> Array:
+    """The whitened responses (K, N) to the terms."""
     context = simulator.effect_context
     values = np.empty((len(shapes), len(forces.states.time)))
     shared: dict[tuple[str, str], Array] = {}
@@ -294,11 +437,10 @@ def _columns(
         constants = np.array([own[quantity.name] for quantity in law.quantities])
         values[i] = values_at(simulator, forces, joint, program_of(law), constants, shared)
     parts = [
-        forces.columns(values[first : first + settings.chunk], joint.qvel)
+        forces.rows(values[first : first + settings.chunk], joint.qvel)
         for first in range(0, len(values), settings.chunk)
     ]
-    columns, lengths = (np.concatenate(part) for part in zip(*parts, strict=True))
-    return columns, lengths
+    return np.concatenate(parts)
 
 
 def joint_at(simulator: RobotSimulator, name: str) -> Joint:
@@ -430,41 +572,93 @@ def formula_of(proposal: Proposal) -> tuple[str, dict[str, float]]:
 
 
 def _confirmed(
-    selection: Selection,
-    state: State,
-    first: State,
-    groups: Sequence[tuple[Proposal, list[Proposal]]],
-    count: int,
-    settings: LawSettings,
+    selection: Selection, state: State, ideas: Sequence[_Idea], count: int
 ) -> tuple[EffectInstance, FoundLaw, State, Library] | None:
     """The law that data held out confirm, what is said of it, the state and library with it."""
-    if not groups:
+    if not ideas:
         return None
-    trials = [_tried(selection, state, proposal, alike) for proposal, alike in groups]
-    ordered = most_plausible_first(
-        sorted((trial for trial, *_ in trials), key=lambda one: -one.penalized_gain),
-        selection.settings,
-    )
-    by_trial = {id(one[0]): one for one in trials}
-    needed = selection.settings.needed_gain(count)
-    for trial in ordered[: selection.settings.maximum_polished]:
-        if trial.fitted_gain <= selection.settings.minimum_fitted_gain:
+    settings = selection.settings
+    tried = [(_tried(selection, one.base, one.proposal, one.alike), one.base) for one in ideas]
+    ranked, short = _ranked(selection, state, tried)
+    needed = settings.needed_gain(count)
+    for one, base in ranked[: settings.maximum_polished]:
+        gain, _ = gain_of(state.train, one[0].state.train)
+        replaces = len(base.accepted) < len(state.accepted)
+        if gain <= settings.minimum_fitted_gain and not replaces:
             continue
-        _, proposal, alike, library = by_trial[id(trial)]
-        own = _extended(selection, library)
-        if own.only_by_feedback(trial.state):
+        own = _extended(selection, one[3])
+        if own.only_by_feedback(one[0].state):
             continue
-        polished = own.polish(trial.state)
-        trial, proposal, library, polished = _pruned(
-            selection, state, (trial, proposal, [], library), polished
-        )
-        if not is_confirmed(state.test, polished.test, needed, selection.settings):
+        polished = own.polish(one[0].state)
+        trial, proposal, library, polished = _pruned(selection, base, one, polished, short)
+        better = is_confirmed(state.test, polished.test, needed, settings)
+        better = better and _of_the_machine(library, state, polished, needed, selection)
+        if not better and not _is_simpler(state, polished, selection):
             continue
-        if not _of_the_machine(library, state, polished, needed, selection):
-            continue
-        summary = _summary_of(proposal, alike, trial, polished, by_trial, selection)
+        refitted = [each for each, _ in tried]
+        summary = _summary_of(proposal, one[2], trial, polished, refitted, selection)
         return trial.candidate.instance, summary, polished, library
     return None
+
+
+def _ranked(
+    selection: Selection, state: State, tried: Sequence[tuple[_Tried, State]]
+) -> tuple[list[tuple[_Tried, State]], bool]:
+    """The refitted formulas with their bases, the most plausible first; and if they are compared as
+    short physics steps would predict, which they are where the best is better so.
+
+    Several terms can do what the length of the steps does.
+    """
+    by_trial: dict[int, tuple[_Tried, State]] = {}
+    views: list[list[Trial]] = []
+    for short in (False, True):
+        fitted_before = _view(selection.library, state.train, selection, short)
+        held_out_before = _view(selection.library, state.test, selection, short)
+        trials = []
+        for one, base in tried:
+            train = _view(one[3], one[0].state.train, selection, short)
+            test = _view(one[3], one[0].state.test, selection, short)
+            after = replace(one[0].state, train=train, test=test)
+            fitted, _ = gain_of(fitted_before, train)
+            held_out, z = gain_of(held_out_before, test)
+            trial = replace(one[0], state=after, fitted_gain=fitted, held_out_gain=held_out, z=z)
+            by_trial[id(trial)] = one, base
+            trials.append(trial)
+        views.append(sorted(trials, key=lambda trial: -trial.penalized_gain))
+    heights = [
+        max(float(trial.state.test.log_likelihood.sum()) for trial in trials) for trials in views
+    ]
+    short = heights[1] > heights[0]
+    ordered = most_plausible_first(views[short], selection.settings)
+    return [by_trial[id(trial)] for trial in ordered], short
+
+
+def _view(
+    library: Library, side: LinearizedWindows, selection: Selection, short: bool
+) -> LinearizedWindows:
+    """Windows as they are, or as short physics steps would predict them."""
+    return _with_short_steps(library, side, selection) if short else side
+
+
+def _with_short_steps(
+    library: Library, side: LinearizedWindows, selection: Selection
+) -> LinearizedWindows:
+    """The windows as short physics steps would predict them, under the noise that is then left."""
+    simulator = library.simulator
+    if not isinstance(simulator, RobotSimulator):
+        raise AssertionError("laws are looked for around a MuJoCo model")
+    errors = step_errors(simulator, side)
+    errors[side.lost] = 0.0
+    moved = replace(side, residuals=side.residuals - errors)
+    noise = estimate_noise(moved, side.whiten.noise, selection.floor)
+    whiten = whitener(library, side.windows, side.theta, noise, side.loadings)
+    return replace(moved, whiten=whiten)
+
+
+def _is_simpler(state: State, polished: State, selection: Selection) -> bool:
+    """Whether a law does better with fewer numbers than the effects in whose place it is."""
+    gain = penalized_log_likelihood(polished) - penalized_log_likelihood(state)
+    return len(polished.free) < len(state.free) and gain > selection.settings.deficit
 
 
 def _of_the_machine(
@@ -475,20 +669,8 @@ def _of_the_machine(
     With the model's own steps or with infinitely short ones, it is confirmed against the model
     without it under both: a machine may be a simulation whose steps are the model's.
     """
-    simulator = library.simulator
-    if not isinstance(simulator, RobotSimulator):
-        raise AssertionError("laws are looked for around a MuJoCo model")
     own = _padded_side(state.test, library)
-
-    def exact(side: LinearizedWindows) -> LinearizedWindows:
-        """The windows as short steps would predict them, under the noise that is then left."""
-        errors = step_errors(simulator, side)
-        errors[side.lost] = 0.0
-        moved = replace(side, residuals=side.residuals - errors)
-        noise = estimate_noise(moved, side.whiten.noise, selection.floor)
-        whiten = whitener(library, side.windows, side.theta, noise, side.loadings)
-        return replace(moved, whiten=whiten)
-
+    exact = partial(_with_short_steps, library, selection=selection)
     without = (own, exact(own))
 
     def holds(after: LinearizedWindows) -> bool:
@@ -514,9 +696,12 @@ def _tried(
 
 
 def _pruned(
-    selection: Selection, state: State, tried: "_Tried", polished: State
+    selection: Selection, state: State, tried: "_Tried", polished: State, short: bool
 ) -> tuple[Trial, Proposal, Library, State]:
-    """A law without the terms that data held out do not ask for, fitted to the end."""
+    """A law without the terms that data held out do not ask for, fitted to the end.
+
+    short: whether that is seen as short physics steps would predict.
+    """
     trial, proposal, alike, library = tried
     for i in range(len(proposal.shapes)):
         if len(proposal.shapes) == 1:
@@ -529,8 +714,11 @@ def _pruned(
         fewer = replace(proposal, shapes=shapes, sizes=sizes[kept])
         again = _tried(selection, state, fewer, alike)
         whole = _extended(selection, again[3]).polish(again[0].state)
-        if gain_of(whole.test, polished.test)[0] < selection.settings.deficit:
-            return _pruned(selection, state, (again[0], fewer, alike, again[3]), whole)
+        without = _view(again[3], whole.test, selection, short)
+        if gain_of(without, _view(library, polished.test, selection, short))[0] < (
+            selection.settings.deficit
+        ):
+            return _pruned(selection, state, (again[0], fewer, alike, again[3]), whole, short)
     return trial, proposal, library, polished
 
 
@@ -549,7 +737,7 @@ def _summary_of(
     alike: Sequence[Proposal],
     accepted: Trial,
     polished: State,
-    trials: Mapping[int, _Tried],
+    trials: Sequence[_Tried],
     selection: Selection,
 ) -> FoundLaw:
     """The name of a law, and the formulas that cannot be distinguished from it.
@@ -564,7 +752,7 @@ def _summary_of(
 
     others: dict[str, OtherFormula] = {}
     limit = selection.settings.indistinguishable_z
-    for trial, other, likes, _ in trials.values():
+    for trial, other, likes, _ in trials:
         if trial is accepted or not is_other(other):
             continue
         deficit, z = gain_of(trial.state.test, polished.test)
@@ -581,7 +769,7 @@ def _summary_of(
         text = formula_of(like)[0]
         why = f"similarity {float(like.signature @ proposal.signature):.3f}"
         others.setdefault(f"{like.joint}:{text}", OtherFormula(text, like.joint, why))
-    return FoundLaw(name_of(proposal), tuple(others.values())[:4])
+    return FoundLaw(name_of(proposal), tuple(others.values())[:4], proposal.shapes)
 
 
 def name_of(proposal: Proposal) -> str:

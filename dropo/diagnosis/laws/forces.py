@@ -33,9 +33,13 @@ class ResidualForces:
         The windows, with random forces in their covariance.
     responses : (W, n, P, nv) array
         The change of the residuals by a force at each degree of freedom in each of P pieces.
-    basis : (N, f) array
-        What is explained anyway, by fitted numbers and by the length of the physics step, whitened
-        and orthonormal.
+    explained : (1 + f, N) array
+        What is explained anyway, whitened: by the length of the physics step, and by each of f
+        fitted numbers.
+    numbers : (f,) array of int
+        Where these are in theta.
+    basis : (N, g) array
+        The same, orthonormal.
     residuals : (N,) array
         The whitened residuals without that.
     states : StepState
@@ -50,6 +54,8 @@ class ResidualForces:
 
     windows: LinearizedWindows
     responses: Array
+    explained: Array
+    numbers: np.ndarray
     basis: Array
     residuals: Array
     states: StepState
@@ -85,8 +91,8 @@ class ResidualForces:
         inside = (piece[:, None] == np.arange(pieces)).astype(float)
         return np.asarray(steps @ (inside / inside.sum(axis=0)))
 
-    def columns(self, values: Array, dof: int) -> tuple[Array, Array]:
-        """Whiten what forces at a degree of freedom change, and take out what is explained anyway.
+    def rows(self, values: Array, dof: int) -> Array:
+        """Whiten what forces at a degree of freedom change.
 
         Parameters
         ----------
@@ -97,20 +103,66 @@ class ResidualForces:
 
         Returns
         -------
+        (K, N) array
+        """
+        pieces = self.by_piece(values)
+        changes = np.einsum("wnp,kwp->kwn", self.responses[..., dof], pieces)
+        return self.windows.flat(changes)
+
+    def unexplained(self, rows: Array) -> tuple[Array, Array]:
+        """Take what is explained anyway out of whitened changes.
+
+        Parameters
+        ----------
+        rows : (K, N) array
+            As `rows` gives them.
+
+        Returns
+        -------
         left : (K, N) array
             Whitened changes of the residuals, orthogonal to what is explained anyway; 0 where only
             rounding is left.
         lengths : (K,) array
             Lengths of the changes before that was taken out.
         """
-        pieces = self.by_piece(values)
-        changes = np.einsum("wnp,kwp->kwn", self.responses[..., dof], pieces)
-        rows = self.windows.flat(changes)
         left = rows - (rows @ self.basis) @ self.basis.T
         # What is as good as explained is rounding.
         lengths = np.linalg.norm(rows, axis=1)
         left[np.linalg.norm(left, axis=1) < RANK * lengths] = 0.0
         return left, lengths
+
+    def without(self, library: Library, numbers: np.ndarray) -> "ResidualForces":
+        """Return the forces that are missing where some fitted numbers are 0.
+
+        Parameters
+        ----------
+        library : Library
+            As of `residual_forces`.
+        numbers : (g,) array of int
+            Places in theta.
+
+        Returns
+        -------
+        ResidualForces
+            In the same states, with the covariance of the forces that are missing with them.
+        """
+        side = self.windows
+        theta = side.theta.copy()
+        theta[numbers] = 0.0
+        (predicted,) = library.predict(theta[None], side.windows)
+        change = np.nan_to_num(side.predicted - predicted.reshape(side.predicted.shape))
+        change[side.lost] = 0.0
+        kept = np.append(True, ~np.isin(self.numbers, numbers))
+        explained = self.explained[kept]
+        basis = np.linalg.qr(explained.T)[0]
+        whole = side.flat(side.residuals + change)
+        return replace(
+            self,
+            explained=explained,
+            numbers=self.numbers[kept[1:]],
+            basis=basis,
+            residuals=whole - basis @ (basis.T @ whole),
+        )
 
 
 def residual_forces(library: Library, state: State, floor: Array) -> ResidualForces:
@@ -165,7 +217,8 @@ def residual_forces(library: Library, state: State, floor: Array) -> ResidualFor
     explained = [step_errors(simulator, train)[None]]
     if len(free):
         explained.append(library.jacobian(train.theta, free, train.windows))
-    basis = np.linalg.qr(windows.flat(np.concatenate(explained)).T)[0]
+    rows = windows.flat(np.concatenate(explained))
+    basis = np.linalg.qr(rows.T)[0]
     residuals = windows.flat(windows.residuals)
     residuals = residuals - basis @ (basis.T @ residuals)
     by_latent = np.concatenate([train.start_loadings, responses], axis=2)
@@ -173,6 +226,8 @@ def residual_forces(library: Library, state: State, floor: Array) -> ResidualFor
     return ResidualForces(
         windows=windows,
         responses=responses.reshape(*responses.shape[:2], pieces, nv),
+        explained=rows,
+        numbers=free,
         basis=basis,
         residuals=residuals,
         states=states,

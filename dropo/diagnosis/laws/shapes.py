@@ -188,17 +188,17 @@ def _of_position(ranges: Ranges, settings: ShapeSettings) -> Iterator[LawTerm]:
         width = float(np.quantile(np.abs(ranges.q), part))
         if width > 0:
             yield LawTerm("dead(q, {0})", "spring with play", (("w", width),))
+    kind = "torque ripple" if ranges.hinge else "force ripple"
     if ranges.hinge:
         for order in range(1, settings.orders + 1):
             effects = ("joint_cogging",) if order in COGS else ()
-            yield LawTerm(f"sin({order} * q)", "torque ripple", effects=effects)
-            yield LawTerm(f"cos({order} * q)", "torque ripple", effects=effects)
-        return
-    # Along a slide the length of a ripple may be any.
+            yield LawTerm(f"sin({order} * q)", kind, effects=effects)
+            yield LawTerm(f"cos({order} * q)", kind, effects=effects)
+    # Along a slide or behind a gear the length of a ripple may be any.
     for count in range(1, settings.orders + 1):
-        own = ("k", float(f"{2 * np.pi * count / max(2 * span, 1e-12):.3g}"))
-        yield LawTerm("sin({0} * q)", "force ripple", (own,))
-        yield LawTerm("cos({0} * q)", "force ripple", (own,))
+        own = ("k", float(f"{np.pi * count / max(span, 1e-12):.3g}"))
+        yield LawTerm("sin({0} * q)", kind, (own,))
+        yield LawTerm("cos({0} * q)", kind, (own,))
 
 
 def _of_load(ranges: Ranges) -> Iterator[LawTerm]:

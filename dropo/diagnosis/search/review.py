@@ -92,7 +92,7 @@ def reviews_so_far(selection: Selection, state: State) -> dict[str, Review]:
     library = selection.library
     reviews = {}
     for instance in state.accepted:
-        without = _without_effect(selection, state, instance)
+        without = without_effects(selection, state, [instance])
         # A quick fit, with the linearization in the start's noise as it is.
         train = settle(library, without.train, without.free, selection.floor)
         test = shift_linearization(library, state.test, train.theta, train.whiten.noise)
@@ -112,7 +112,7 @@ def _review_effect(selection: Selection, state: State, instance: EffectInstance)
             trial for trial in origin.trials if trial.candidate.instance.label != instance.label
         ]
         return Review(origin.before, origin, others)
-    without = _without_effect(selection, state, instance)
+    without = without_effects(selection, state, [instance])
     alternatives: list[Trial] = []
     if origin is not None:
         candidates = _alternatives_to_try(origin, state, instance, selection.settings)
@@ -176,19 +176,34 @@ def _better_alternative(selection: Selection, state: State, reviewed: Review) ->
     return None
 
 
-def _without_effect(selection: Selection, state: State, instance: EffectInstance) -> State:
-    """The model without one of its effects, theta and noise else as they were.
+def without_effects(
+    selection: Selection, state: State, instances: Sequence[EffectInstance]
+) -> State:
+    """Return the model without some of its effects, theta and noise else as they were.
 
-    Its windows held out are still those with the effect: to try candidates, only their order by
-    gain is needed, and `Selection.polish` renews them.
+    Parameters
+    ----------
+    selection : Selection
+        The search that accepted the effects.
+    state : State
+        The model with them.
+    instances : sequence of EffectInstance
+        Some of its effects.
+
+    Returns
+    -------
+    State
+        Its windows held out are still those with the effects: to try candidates, only their order
+        by gain is needed, and `Selection.polish` renews them.
     """
     library = selection.library
-    indices = library.places[instance.label]
+    left_out = {instance.label for instance in instances}
+    indices = np.concatenate([library.places[label] for label in sorted(left_out)])
     theta = state.theta.copy()
     theta[indices] = 0.0
     train = shift_linearization(library, state.train, theta, state.train.whiten.noise)
     free = np.setdiff1d(state.free, indices)
-    others = tuple(other for other in state.accepted if other.label != instance.label)
+    others = tuple(other for other in state.accepted if other.label not in left_out)
     return State(train, state.test, free, others)
 
 

@@ -118,7 +118,7 @@ class SimulatedRobot:
         self,
         effects: Sequence[tuple[EffectInstance, Array]] = (),
         *,
-        noise: float,
+        noise: Array | float,
         rng: np.random.Generator,
         values: Array | None = None,
     ) -> Trajectories:
@@ -128,8 +128,8 @@ class SimulatedRobot:
         ----------
         effects : sequence of (EffectInstance, array)
             Effects that act on the robot, each with its magnitudes.
-        noise : float
-            Standard deviation of the noise on every sensor, in its unit.
+        noise : float or (p,) array
+            Standard deviation of the noise on every sensor, or on each, in its unit.
         rng : numpy.random.Generator
             Source of the starts, commands and noise.
         values : (d,) array or None

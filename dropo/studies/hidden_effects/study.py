@@ -255,10 +255,14 @@ def stated_falsely(runs: Sequence[dict[str, Any]]) -> str:
     n = len(runs)
     false = sum(map(states_falsely, runs))
     low, high = interval(false, n)
+    stating = sum(are_stated(one["verdict"]) for one in runs)
+    least, most = interval(stating - false, stating)
     return (
         f"all {n} runs, those of effects too weak to count among them, {false} state a cause that "
-        f"is none, or not at its place (95 %: {low:.1%} to {high:.1%}). A cause is stated where "
-        'the verdict is "explained"; of others it is said that what is missing acts like them.'
+        f"is none, or not at its place (95 %: {low:.1%} to {high:.1%}). {stating} state causes: "
+        f"all of these are right in {stating - false} (95 %: {least:.1%} to {most:.1%}). A cause "
+        'is stated where the verdict is "explained"; of others it is said that what is missing '
+        "acts like them."
     )
 
 

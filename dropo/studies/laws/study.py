@@ -9,22 +9,18 @@ from typing import Any
 
 import numpy as np
 
-from dropo import Diagnose
+from dropo import Diagnose, Diagnosis
 from dropo.core.contracts.problem import Problem
+from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.optional_dependencies import need
 from dropo.core.services.tables import number
 from dropo.core.services.validation import Array, known, require
 from dropo.diagnosis.search.library import robot_of
-from dropo.effects.law import law_instance
-from dropo.problems.simulated.robots import masses, problem_of, simulated_robot
 from dropo.studies.engine.study import Study, Table
 from dropo.studies.engine.work import Work
+from dropo.studies.laws.cases import DEVELOPMENT, EVALUATION, NULLS, REMOVED, HiddenLaw
+from dropo.studies.laws.machines import FINER, MACHINES, LawMachine, law_machine
 
-MACHINE = "torque-arm"
-NOISE = 1e-3
-"""Standard deviation of every sensor's noise, in its unit."""
-FINER = 4
-"""Physics steps of the hidden machine for one of the model."""
 RIVALS = (
     "joint_damping",
     "joint_friction",
@@ -42,57 +38,29 @@ WINDOWS = 48
 """About how many windows are fitted, and how many are held out."""
 COUNTED = 100.0
 """Nats on data held out that the true law must gain for a run to count."""
-DEVELOPMENT = {
-    "quadratic drag": ("elbow", "-c * abs(v) * v", {"c": 0.1}),
-    "cubic drag": ("shoulder", "-c * v**3", {"c": 0.02}),
-    "friction away from the middle": ("elbow", "-c * q**2 * v", {"c": 0.2}),
-}
-"""The laws on which the search was worked out, each with its place and sizes."""
-EVALUATION = {
-    "cubic spring": ("shoulder", "-c * q**3", {"c": 1.0}),
-    "tether": ("elbow", "-c * max(q - a, 0)", {"c": 3.0, "a": 0.4}),
-    "asymmetric viscous friction": ("elbow", "-c * abs(v)", {"c": 0.1}),
-    "square-root friction": ("shoulder", "-c * sign(v) * sqrt(abs(v))", {"c": 0.2}),
-    "coupling of speeds": ("elbow", "-c * v.shoulder * v", {"c": 0.05}),
-    "torque ripple": ("shoulder", "c * sin(5 * q)", {"c": 0.3}),
-    "thermal derating": ("elbow", "-c * motor * t", {"c": 0.5}),
-    "load friction with presliding": (
-        "elbow",
-        "-c * abs(motor) * dahl(x)",
-        {"c": 0.3, "x": 0.05},
-    ),
-    "spring with play": ("elbow", "-c * dead(q, w)", {"c": 3.0, "w": 0.3}),
-    "detent": (
-        "shoulder",
-        "-c * (q - a) * exp(-((q - a) / w)**2)",
-        {"c": 5.0, "a": 0.3, "w": 0.2},
-    ),
-}
-"""The laws that are reported, on seeds of their own."""
-FIRST_SEED = {"development": 0, "evaluation": 1000, "null": 2000}
-NULLS = ("gaussian", "t3", "ar1", "quantised")
-"""Noise of machines with nothing hidden."""
+FIRST_SEED = {"development": 0, "evaluation": 81_000, "removed": 82_000, "null": 83_000}
+"""Seeds of each set; the search was worked out on seeds below 80,000."""
+STEP = 4.0
+"""Step of the quantised sensors, in standard deviations of the others' noise."""
 
 
 def laws(
     work: Work,
     seeds: int | None = None,
     *,
-    names: Sequence[str] = (*EVALUATION, *DEVELOPMENT),
-    nulls: Sequence[str] = NULLS,
+    problems: Sequence[str] = (),
 ) -> Study:
-    """How often the formula of a hidden law is found, and what is found where none is.
+    """How often the formula of a hidden law is found, and what is said where none is hidden.
 
     Parameters
     ----------
     work : Work
         Runs the tasks.
     seeds : int or None
-        Runs of each law and of each kind of noise; 1 if None.
-    names : sequence of str
-        Some of the laws of `EVALUATION` and `DEVELOPMENT`.
-    nulls : sequence of str
-        Some of `NULLS`.
+        Runs of each law, and of each kind of noise on each machine; 1 if None.
+    problems : sequence of str
+        Some of the laws of `EVALUATION`, `REMOVED` and `DEVELOPMENT`, and of the recordings with
+        nothing hidden, such as "t3 pendulum"; all but the development ones if empty.
 
     Returns
     -------
@@ -103,32 +71,44 @@ def laws(
     BadArgument
         If `seeds` is below 1.
     UnknownName
-        If there is no such law or kind of noise.
+        If there is no such law or recording.
     """
     require(seeds is None or seeds >= 1, "seeds", "at least 1", seeds, "laws")
-    count = seeds or 1
-    items: list[list[Any]] = []
-    for name in names:
-        known("law", name, (*EVALUATION, *DEVELOPMENT))
-        kind = "development" if name in DEVELOPMENT else "evaluation"
-        items += [[kind, name, FIRST_SEED[kind] + seed] for seed in range(count)]
-    for name in nulls:
-        known("kind of noise", name, NULLS)
-        items += [["null", name, FIRST_SEED["null"] + seed] for seed in range(count)]
+    sets = every_item()
+    chosen = [known("law", name, sets) for name in problems]
+    names = chosen or [name for name in sets if sets[name] != "development"]
+    items = [
+        [sets[name], name, FIRST_SEED[sets[name]] + seed]
+        for name in names
+        for seed in range(seeds or 1)
+    ]
     runs = work.map(run, items)
     hidden = [one for one in runs if one["set"] != "null"]
     none = [one for one in runs if one["set"] == "null"]
     return Study(
         "laws",
-        f"Laws that no effect stands for, hidden in {len(hidden)} recordings of {MACHINE}; "
+        f"Laws that no effect stands for, hidden in {len(hidden)} recordings; "
         f"{len(none)} with nothing hidden",
         (_totals(hidden, none), _found(hidden), _silent(none)),
         (
-            f"{MACHINE}, noise {NOISE:g} on every sensor, the hidden machine with physics steps "
-            f"{FINER} times finer. A run counts where the true law gains {COUNTED:g} nats.",
+            f"Recorded by Runge-Kutta's integrator with physics steps {FINER} times finer than the "
+            f"model's. A run counts where the true law gains {COUNTED:g} nats there.",
         ),
         {"runs": runs},
     )
+
+
+def every_item() -> dict[str, str]:
+    """List what may be hidden, and the recordings with nothing hidden.
+
+    Returns
+    -------
+    dict of str to str
+        The set that each belongs to, by name.
+    """
+    found = dict.fromkeys(EVALUATION, "evaluation") | dict.fromkeys(REMOVED, "removed")
+    found |= {f"{noise} {machine}": "null" for noise in NULLS for machine in MACHINES}
+    return found | dict.fromkeys(DEVELOPMENT, "development")
 
 
 def run(item: list[Any]) -> dict[str, Any]:
@@ -137,7 +117,7 @@ def run(item: list[Any]) -> dict[str, Any]:
     Parameters
     ----------
     item : list
-        The set ("development", "evaluation" or "null"), the law or the kind of noise, the seed.
+        The set, the name of the law or recording, the seed.
 
     Returns
     -------
@@ -145,75 +125,91 @@ def run(item: list[Any]) -> dict[str, Any]:
         What was hidden, what was said.
     """
     kind, name, seed = item
-    robot = simulated_robot(MACHINE, masses(MACHINE), 1)
-    finer = replace(robot, simulator=robot.simulator.with_finer_steps(FINER))
     rng = np.random.default_rng(seed)
-    hidden = []
     answer: dict[str, Any] = {"set": kind, "name": name, "seed": seed}
-    if kind != "null":
-        place, text, sizes = {**DEVELOPMENT, **EVALUATION}[name]
-        law = law_instance(robot.simulator.effect_context, place, text, typical=sizes)
-        numbers = np.array([sizes[quantity.name] for quantity in law.quantities])
-        hidden = [(law, numbers)]
-        answer |= {"hidden": text, "target": place}
-    data = finer.record(hidden, noise=NOISE if kind != "null" else 1e-12, rng=rng)
     if kind == "null":
-        data = _with_noise(data, name, rng)
-    problem = problem_of(MACHINE, robot, data, NOISE)
-    found = Diagnose([*RIVALS, "law"], windows=WINDOWS).run(problem, rng=seed)
-    causes = [cause.to_json(rank) for rank, cause in enumerate(found.causes, 1)]
-    said = [one for one in causes if one["effect"] == "law"]
-    answer |= {
-        "verdict": found.verdict,
-        "causes": [[one["effect"], one["target"], one.get("formula", "")] for one in causes],
-        "acts_like": [one["acts_like"] for one in said],
-        "steps": found.simulator_steps,
-    }
-    if kind != "null":
-        best = _oracle(problem, hidden, found.window_steps)
-        gain = best - found.baseline.log_likelihood
-        answer["nats"] = gain * WINDOWS * found.window_steps
-        answer["share"] = (found.extended.log_likelihood - found.baseline.log_likelihood) / gain
-        answer["right"] = any(
-            one["target"] == answer["target"] and equivalent(one["formula"], answer["hidden"])
-            for one in said
-        )
-        answer["among"] = answer["right"] or any(
-            equivalent(other.formula, answer["hidden"])
-            for cause in found.causes
-            for other in cause.confused_with
-            if other.formula
-        )
+        noise, machine = name.split(" ", 1)
+        data = _with_noise(law_machine(machine), noise, rng)
+        problem = law_machine(machine).problem(machine, data)
+        found = _diagnosis(problem, RIVALS, seed)
+        return answer | {"machine": machine} | _said(found)
+    law = {**DEVELOPMENT, **EVALUATION, **REMOVED}[name]
+    made = law_machine(law.machine)
+    hidden = [law.instance(made.robot.simulator)]
+    problem = made.problem(law.machine, made.record(hidden, rng, 1.0))
+    rivals = [rival for rival in RIVALS if rival != law.effect]
+    found = _diagnosis(problem, rivals, seed)
+    answer |= {"machine": law.machine, "hidden": law.formula, "target": law.place} | _said(found)
+    without, with_law = _oracle(problem, hidden, found.window_steps)
+    before = found.baseline.log_likelihood
+    answer["nats"] = (with_law - without) * WINDOWS * found.window_steps
+    answer["share"] = (found.extended.log_likelihood - before) / (with_law - before)
+    answer["right"] = any(_is_right(cause, law) for cause in answer["causes"])
+    others = [
+        [other.effect, other.target, other.formula]
+        for cause in found.causes
+        for other in cause.confused_with
+    ]
+    answer["among"] = answer["right"] or any(_is_right(other, law) for other in others)
+    answer["false"] = sum(not _is_right(cause, law) for cause in answer["causes"])
     return answer
 
 
-def _oracle(problem: Problem, hidden: list[Any], length: int) -> float:
-    """The log-likelihood of the true model on data held out [nats per transition]."""
-    true = replace(problem, simulator=robot_of(problem).with_effects((), hidden))
-    return Diagnose(length=length, windows=WINDOWS).baseline(true)
+def _diagnosis(problem: Problem, rivals: Sequence[str], seed: int) -> Diagnosis:
+    """What is said of a recording, of the effects of joints and drives and of laws."""
+    return Diagnose([*rivals, "law"], windows=WINDOWS).run(problem, rng=seed)
 
 
-def _with_noise(data: Any, kind: str, rng: np.random.Generator) -> Any:
-    """A recording without noise, with noise of a kind on every measurement."""
+def _said(found: Diagnosis) -> dict[str, Any]:
+    """The causes, whether they are stated as such, and what it took."""
+    return {
+        "verdict": found.verdict,
+        "causes": [[one.effect, one.target, one.formula] for one in found.causes],
+        "stated": len(found.stated),
+        "steps": found.simulator_steps,
+    }
+
+
+def _is_right(cause: Sequence[Any], law: HiddenLaw) -> bool:
+    """Whether an effect, a place and a formula are the hidden law."""
+    effect, target, formula = cause
+    return effect == "law" and target == law.place and equivalent(formula, law.formula)
+
+
+def _oracle(problem: Problem, hidden: list[Any], length: int) -> tuple[float, float]:
+    """The log-likelihoods of the machine itself without and with its law, on data held out [nats
+    per transition].
+    """
+    finer = robot_of(problem).with_integrator("RK4").with_finer_steps(FINER)
+    models = [finer, finer.with_effects((), hidden)]
+    search = Diagnose(length=length, windows=WINDOWS)
+    without, with_law = (search.baseline(replace(problem, simulator=one)) for one in models)
+    return without, with_law
+
+
+def _with_noise(machine: LawMachine, kind: str, rng: np.random.Generator) -> Trajectories:
+    """A recording with nothing hidden, with noise of a kind on every measurement."""
+    data = machine.record([], rng, 1e-9)
     observations = data.observations.copy()
     after = data.next_observations.copy()
     for first, last in data.spans:
         whole = np.concatenate([observations[first:last], after[last - 1 : last]])
-        whole = whole + _noise(kind, whole.shape, rng)
+        whole = whole + machine.noise * _noise(kind, whole.shape, rng)
         if kind == "quantised":
-            whole = np.round(whole / (4 * NOISE)) * 4 * NOISE
+            tick = STEP * machine.noise
+            whole = np.round(whole / tick) * tick
         observations[first:last] = whole[:-1]
         after[first:last] = whole[1:]
     return replace(data, observations=observations, next_observations=after)
 
 
 def _noise(kind: str, shape: tuple[int, ...], rng: np.random.Generator) -> Array:
-    """Noise (k, p) of a kind, of standard deviation `NOISE`."""
+    """Noise (k, p) of a kind, of standard deviation 1."""
     if kind == "t3":
-        return np.asarray(NOISE * rng.standard_t(3, shape) / np.sqrt(3))
+        return np.asarray(rng.standard_t(3, shape) / np.sqrt(3))
     if kind == "quantised":
         return np.zeros(shape)
-    white = NOISE * rng.standard_normal(shape)
+    white = rng.standard_normal(shape)
     if kind == "ar1":
         for k in range(1, shape[0]):
             white[k] = 0.5 * white[k - 1] + np.sqrt(0.75) * white[k]
@@ -265,37 +261,56 @@ def _terms(text: str) -> frozenset[str]:
 
 def _is_constant(name: str) -> bool:
     """Whether a name is that of a constant: a letter, and perhaps a number."""
-    return name[:1] in "cawxT" and (len(name) == 1 or name[1:].isdigit())
+    return name[:1] in "cakwxT" and (len(name) == 1 or name[1:].isdigit())
 
 
 def _totals(hidden: list[dict[str, Any]], none: list[dict[str, Any]]) -> Table:
-    """How many of each set are right."""
+    """How many of each set are right, and what is stated as a cause without being one."""
     rows = []
-    for name in ("development", "evaluation"):
-        own = [one for one in hidden if one["set"] == name and one["nats"] >= COUNTED]
-        if own:
-            right = sum(one["right"] for one in own)
-            among = sum(one["among"] for one in own)
-            share = number(float(np.median([one["share"] for one in own])), 3)
-            rows.append((name, str(len(own)), str(right), str(among), share))
-    false = sum(any(effect == "law" for effect, *_ in one["causes"]) for one in none)
-    rows.append(("nothing hidden", str(len(none)), f"{false} laws proposed", "-", "-"))
-    header = ("set", "runs", "formula right", "right or among the others", "share of the gain")
+    for name in ("development", "evaluation", "removed"):
+        own = [one for one in hidden if one["set"] == name]
+        if not own:
+            continue
+        counted = [one for one in own if one["nats"] >= COUNTED]
+        shares = [one["share"] for one in counted]
+        right = sum(one["right"] for one in counted)
+        among = sum(one["among"] for one in counted)
+        share = number(float(np.median(shares)), 3) if shares else "-"
+        whole = (str(len(counted)), str(right), str(among), share)
+        rows.append((name, str(len(own)), *whole, *_stated_in(own)))
+    proposed = sum(any(effect == "law" for effect, *_ in one["causes"]) for one in none)
+    silent = ("-", f"{proposed} laws proposed", "-", "-")
+    rows.append(("nothing hidden", str(len(none)), *silent, *_stated_in(none)))
+    header = (
+        "set",
+        "runs",
+        f"of {COUNTED:g} nats",
+        "formula right",
+        "or among the others",
+        "share of the gain",
+        "causes stated",
+        "of these false",
+    )
     return Table("In all", header, tuple(rows))
+
+
+def _stated_in(runs: list[dict[str, Any]]) -> tuple[str, str]:
+    """How many causes are stated, and how many of these are not what is hidden."""
+    stated = [one for one in runs if one["stated"]]
+    false = sum(one.get("false", len(one["causes"])) for one in stated)
+    return str(sum(one["stated"] for one in stated)), str(false)
 
 
 def _found(hidden: list[dict[str, Any]]) -> Table:
     """What was said of each."""
     rows = []
     for one in hidden:
-        said = "; ".join(
-            f"{formula or effect} at {target}" for effect, target, formula in one["causes"]
-        )
         rows.append(
             (
                 one["name"],
+                one["machine"],
                 f"{one['hidden']} at {one['target']}",
-                said or "-",
+                _in_words(one),
                 _how_right(one),
                 number(one["nats"], 3),
                 number(one["share"], 3),
@@ -303,8 +318,24 @@ def _found(hidden: list[dict[str, Any]]) -> Table:
                 f"{one['steps']:,}",
             )
         )
-    header = ("law", "hidden", "said", "right", "nats", "share", "verdict", "simulator steps")
+    header = (
+        "law",
+        "machine",
+        "hidden",
+        "said",
+        "right",
+        "nats",
+        "share",
+        "verdict",
+        "simulator steps",
+    )
     return Table("Hidden laws", header, tuple(rows))
+
+
+def _in_words(one: dict[str, Any]) -> str:
+    """The causes, each with its place."""
+    said = [f"{formula or effect} at {target}" for effect, target, formula in one["causes"]]
+    return "; ".join(said) or "-"
 
 
 def _how_right(one: dict[str, Any]) -> str:
@@ -316,10 +347,5 @@ def _how_right(one: dict[str, Any]) -> str:
 
 def _silent(none: list[dict[str, Any]]) -> Table:
     """What was said where nothing is hidden."""
-    rows = []
-    for one in none:
-        said = "; ".join(
-            f"{formula or effect} at {target}" for effect, target, formula in one["causes"]
-        )
-        rows.append((one["name"], str(one["seed"]), said or "-", one["verdict"]))
-    return Table("Nothing hidden", ("noise", "seed", "said", "verdict"), tuple(rows))
+    rows = [(one["name"], str(one["seed"]), _in_words(one), one["verdict"]) for one in none]
+    return Table("Nothing hidden", ("noise and machine", "seed", "said", "verdict"), tuple(rows))

@@ -1,11 +1,13 @@
 """A law that no effect stands for is found as a formula; nothing is where nothing is hidden."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from dropo import Diagnose
+from dropo.diagnosis.laws.discovery import FoundLaw, _curve, may_stand_for_one_law
 from dropo.diagnosis.laws.pursuit import propose
 from dropo.diagnosis.laws.shapes import LawTerm, Ranges, shapes_at
 from dropo.effects.law import law_instance
@@ -15,7 +17,8 @@ from dropo.problems.file.verification import verify
 from dropo.problems.loading import load
 from dropo.problems.simulated.robots import simulated_robot
 from dropo.report.pages.diagnosis_page import causes_section
-from tests.models.hidden_in_arm import problem
+from dropo.studies.laws.machines import law_machine
+from tests.models.hidden_in_arm import instance, problem
 
 FORMULA = "-c * abs(v) * v"
 DRAG = 0.1
@@ -113,3 +116,62 @@ def test_proposals_from_columns():
     (two,) = first(0.3 * columns[7] - 0.3 * columns[30] + noise)
     assert {shape.text for shape in two.shapes} == {"x7", "x30"}
     assert first(noise) == []
+
+
+@pytest.mark.study
+def test_one_law_takes_the_place_of_what_stood_in_for_it():
+    """Square-root friction, which damping and dry friction nearly explain together, is found as one
+    formula, without them.
+    """
+    context = simulated_robot("torque-arm").simulator.effect_context
+    law = law_instance(context, "shoulder", "-c * sign(v) * sqrt(abs(v))")
+    found = Diagnose(["joint_damping", "joint_friction", "law"], windows=40).run(
+        hidden((law, np.array([0.3])))
+    )
+    assert [(one.effect, one.target, one.formula) for one in found.causes] == [
+        ("law", "shoulder", law.formula)
+    ]
+    assert found.verdict == "explained"
+
+
+def test_shapes_of_one_variable_draw_a_curve_together():
+    """A law of two shapes of speed, or of one beside damping, is no cause by itself; one of speed
+    and one of position, a ripple of sine and cosine, and one shape alone are. Along a slide too.
+    """
+    rail = law_machine("trolley").robot.simulator
+    push = law_instance(rail.effect_context, "rail", "-c * dead(q, w)")
+    play = LawTerm("dead(q, {0})", "", (("w", 0.3),))
+    waves = LawTerm("sin({0} * q)", "", (("k", 8.7),))
+    of_slide = _curve(
+        SimpleNamespace(simulator=rail),
+        SimpleNamespace(accepted=(push,)),
+        push,
+        {push.label: FoundLaw("", (), (play, waves))},
+    )
+    assert of_slide == "qpos.rail"
+    simulator = simulated_robot("torque-arm").simulator
+    library = SimpleNamespace(simulator=simulator)
+    law = law_instance(simulator.effect_context, "elbow", FORMULA)
+    damping = instance(simulator, "joint_damping:elbow")
+    friction = instance(simulator, "joint_friction:elbow")
+    other = instance(simulator, "joint_damping:shoulder")
+    drag, cubic, spring = LawTerm("abs(v) * v", ""), LawTerm("v**3", ""), LawTerm("q**3", "")
+    ripple = [
+        LawTerm("sin({0} * q)", "", (("k", 9.0),)),
+        LawTerm("cos({0} * q)", "", (("k", 9.0),)),
+    ]
+
+    def curve(shapes, *accepted):
+        state = SimpleNamespace(accepted=(*accepted, law))
+        return _curve(library, state, law, {law.label: FoundLaw("", (), tuple(shapes))})
+
+    assert curve([drag, cubic]) == curve([drag], damping) == "qvel.elbow"
+    assert curve([*ripple, spring]) == "qpos.elbow"
+    assert curve([drag]) == curve([drag], other) == curve([drag, spring]) == curve(ripple) == ""
+    held = {
+        (damping, friction): True,
+        (damping, other): False,
+        (damping,): False,
+    }
+    for accepted, may in held.items():
+        assert may_stand_for_one_law(library, SimpleNamespace(accepted=accepted)) == may

@@ -325,6 +325,7 @@ def test_what_acts_like_a_cause_is_not_false():
     assert [states_falsely(one) for one in every] == [True, False, False, False]
     assert stated_falsely(every).startswith("all 4 runs")
     assert "1 state a cause that is none" in stated_falsely(every)
+    assert "2 state causes: all of these are right in 1 (" in stated_falsely(every)
 
 
 def test_the_first_seed_is_chosen(monkeypatch):

@@ -8,18 +8,17 @@ import pytest
 from dropo import Diagnose
 from dropo.core.services.errors import BadArgument, UnknownName
 from dropo.diagnosis.parts import Alternative
-from dropo.problems.simulated.robots import simulated_robot
 from dropo.studies.engine.work import Work
+from dropo.studies.laws.cases import DEVELOPMENT, EVALUATION, NULLS, REMOVED
+from dropo.studies.laws.machines import MACHINES, law_machine
 from dropo.studies.laws.study import (
-    DEVELOPMENT,
-    EVALUATION,
     FIRST_SEED,
-    MACHINE,
-    NOISE,
-    NULLS,
+    RIVALS,
+    STEP,
     _noise,
     _with_noise,
     equivalent,
+    every_item,
     laws,
     run,
 )
@@ -51,10 +50,25 @@ def test_formulas_are_the_same_but_for_their_constants():
 
 
 def test_every_law_of_the_study_is_itself_and_no_other():
+    """Those of one joint, that is: another's may have the same formula."""
     pytest.importorskip("sympy")
-    texts = [text for _, text, _ in (*DEVELOPMENT.values(), *EVALUATION.values())]
-    for i, one in enumerate(texts):
-        assert [equivalent(one, two) for two in texts] == [i == j for j in range(len(texts))]
+    every = [*DEVELOPMENT.values(), *EVALUATION.values(), *REMOVED.values()]
+    for one in every:
+        same = [two for two in every if (two.machine, two.place) == (one.machine, one.place)]
+        known = {two.formula for two in same if equivalent(one.formula, two.formula)}
+        assert known == {one.formula}
+
+
+def test_every_law_acts_on_its_machine():
+    """Each has a size for each number of what is hidden, and is of the formula's place."""
+    simulators = {name: law_machine(name).robot.simulator for name in MACHINES}
+    for law in (*DEVELOPMENT.values(), *EVALUATION.values(), *REMOVED.values()):
+        made, sizes = law.instance(simulators[law.machine])
+        assert set(law.sizes) == {quantity.name for quantity in made.quantities}
+        assert (made.effect == law.effect) if law.effect else (made.target == law.place)
+        assert np.abs(sizes).max() > 0
+    assert {law.effect for law in REMOVED.values()} - {"air_drag"} <= set(RIVALS)
+    assert {law.machine for law in EVALUATION.values()} == set(MACHINES)
 
 
 def test_each_kind_of_noise_is_what_it_is_called():
@@ -67,60 +81,72 @@ def test_each_kind_of_noise_is_what_it_is_called():
         lagged = np.corrcoef(drawn[1:], drawn[:-1])[0, 1]
         assert lagged == pytest.approx(0.5 if kind == "ar1" else 0.0, abs=5 / np.sqrt(n))
         if kind == "t3":
-            quartile = 0.764892 / np.sqrt(3) * NOISE
+            quartile = 0.764892 / np.sqrt(3)
             assert np.mean(np.abs(drawn) < quartile) == pytest.approx(0.5, abs=2.5 / np.sqrt(n))
         else:
             effective = n * (0.6 if kind == "ar1" else 1.0)
-            assert drawn.std() == pytest.approx(NOISE, rel=5 / np.sqrt(2 * effective))
+            assert drawn.std() == pytest.approx(1.0, rel=5 / np.sqrt(2 * effective))
 
 
 def test_noise_is_that_of_measurements():
     """A state that ends one transition and begins the next has one noise; steps of an encoder are
     four standard deviations, of all signals.
     """
-    robot = simulated_robot(MACHINE)
-    data = robot.record([], noise=1e-12, rng=np.random.default_rng(0))
-    noisy = _with_noise(data, "gaussian", np.random.default_rng(0))
-    assert np.std(noisy.observations - data.observations) == pytest.approx(NOISE, rel=0.1)
+    machine = law_machine("trolley")
+    data = _with_noise(machine, "quantised", np.random.default_rng(0))
+    counts = data.next_observations / (STEP * machine.noise)
+    np.testing.assert_allclose(counts, counts.round(), atol=1e-7)
+    noisy = _with_noise(machine, "gaussian", np.random.default_rng(0))
+    off = (noisy.observations - data.observations) / machine.noise
+    np.testing.assert_allclose(off.std(axis=0), np.sqrt(1 + STEP**2 / 12), rtol=0.1)
     for first, last in data.spans:
         np.testing.assert_array_equal(
             noisy.next_observations[first : last - 1], noisy.observations[first + 1 : last]
         )
-    stepped = _with_noise(data, "quantised", np.random.default_rng(0))
-    counts = stepped.next_observations / (4 * NOISE)
-    np.testing.assert_allclose(counts, counts.round(), atol=1e-9)
-    assert np.abs(stepped.observations - data.observations).max() <= 2.001 * NOISE
+
+
+def test_positions_alone_are_logged_where_it_is_said():
+    """Then velocities are estimated; every machine's numbers are those of its recording."""
+    for name in MACHINES:
+        machine = law_machine(name)
+        data = machine.record([], np.random.default_rng(1), 1.0)
+        problem = machine.problem(name, data)
+        assert bool(problem.estimated) == machine.positions
+        assert problem.trajectories.observations.shape == data.observations.shape
+        same = np.array_equal(problem.trajectories.observations, data.observations)
+        assert same != machine.positions
 
 
 def recorded(kind, name, seed=1000, **answer):
-    """What a run answers: right, and worth many nats, unless said otherwise."""
+    """What a run answers: right and stated, and worth many nats, unless said otherwise."""
     own = {
         "set": kind,
         "name": name,
         "seed": seed,
+        "machine": "pendulum",
         "verdict": "explained",
         "causes": [["law", "elbow", "-c * v**3"]],
-        "acts_like": [None],
+        "stated": 1,
         "steps": 123_456,
     }
     if kind != "null":
         own |= {"hidden": "-c * v**3", "target": "elbow", "nats": 500.0, "share": 0.98}
-        own |= {"right": True, "among": True}
+        own |= {"right": True, "among": True, "false": 0}
     return own | answer
 
 
 def test_tables_count_runs_that_are_worth_it(monkeypatch):
     """One law is right, one among the others, one wrong, and one too small to count; of two
-    recordings with nothing hidden, one has a law proposed.
+    recordings with nothing hidden, one has a law proposed. What is stated counts everywhere.
     """
     asked = []
     answers = [
         recorded("evaluation", "cubic spring"),
-        recorded("evaluation", "tether", right=False, share=0.9),
-        recorded("evaluation", "detent", right=False, among=False, share=0.2, causes=[]),
-        recorded("evaluation", "torque ripple", right=False, nats=99.0, share=0.1),
-        recorded("null", "t3", 2000, causes=[["law", "elbow", "-c * q"]], verdict="partly"),
-        recorded("null", "ar1", 2000, causes=[["joint_damping", "elbow", ""]]),
+        recorded("evaluation", "tether", right=False, share=0.9, false=1),
+        recorded("evaluation", "detent", right=False, among=False, share=0.2, causes=[], stated=0),
+        recorded("evaluation", "torque ripple", right=False, nats=99.0, share=0.1, false=1),
+        recorded("null", "t3 pendulum", causes=[["law", "elbow", "-c * q"]], stated=0),
+        recorded("null", "ar1 pendulum", causes=[["joint_damping", "elbow", ""]]),
     ]
 
     def given(self, task, items):
@@ -128,24 +154,24 @@ def test_tables_count_runs_that_are_worth_it(monkeypatch):
         return answers
 
     monkeypatch.setattr(Work, "map", given)
-    study = laws(Work(threads=1), 2, names=("tether", "cubic drag"), nulls=("ar1",))
+    study = laws(Work(threads=1), 2, problems=("tether", "cubic drag", "ar1 pendulum"))
     assert asked == [
         *(["evaluation", "tether", FIRST_SEED["evaluation"] + i] for i in range(2)),
         *(["development", "cubic drag", FIRST_SEED["development"] + i] for i in range(2)),
-        *(["null", "ar1", FIRST_SEED["null"] + i] for i in range(2)),
+        *(["null", "ar1 pendulum", FIRST_SEED["null"] + i] for i in range(2)),
     ]
     totals, found, silent = study.tables
     assert totals.rows == (
-        ("evaluation", "3", "1", "2", "0.9"),
-        ("nothing hidden", "2", "1 laws proposed", "-", "-"),
+        ("evaluation", "4", "3", "1", "2", "0.9", "3", "2"),
+        ("nothing hidden", "2", "-", "1 laws proposed", "-", "-", "1", "1"),
     )
-    assert [row[3] for row in found.rows] == ["yes", "among the others", "no", "among the others"]
-    assert found.rows[0][1:3] == ("-c * v**3 at elbow", "-c * v**3 at elbow")
-    assert found.rows[2][2] == "-"
+    assert [row[4] for row in found.rows] == ["yes", "among the others", "no", "among the others"]
+    assert found.rows[0][2:4] == ("-c * v**3 at elbow", "-c * v**3 at elbow")
+    assert found.rows[2][3] == "-"
     assert found.rows[0][-1] == "123,456"
     assert silent.rows == (
-        ("t3", "2000", "-c * q at elbow", "partly"),
-        ("ar1", "2000", "joint_damping at elbow", "explained"),
+        ("t3 pendulum", "1000", "-c * q at elbow", "explained"),
+        ("ar1 pendulum", "1000", "joint_damping at elbow", "explained"),
     )
     assert "4 recordings" in study.title
     assert "2 with nothing hidden" in study.title
@@ -155,16 +181,17 @@ def test_what_it_cannot_study_is_refused():
     with pytest.raises(BadArgument, match="'seeds' of laws must be at least 1"):
         laws(Work(), 0)
     with pytest.raises(UnknownName, match="cubic spring"):
-        laws(Work(), names=("cubic sprin",))
-    with pytest.raises(UnknownName, match="quantised"):
-        laws(Work(), names=(), nulls=("quantized",))
+        laws(Work(), problems=("cubic sprin",))
+    with pytest.raises(UnknownName, match="quantised trolley"):
+        laws(Work(), problems=("quantized trolley",))
 
 
 def test_development_and_evaluation_share_no_seed_and_no_law():
     """Up to a thousand runs of each law; every kind of noise can be drawn."""
-    assert not set(DEVELOPMENT) & set(EVALUATION)
+    assert not set(DEVELOPMENT) & {*EVALUATION, *REMOVED}
     firsts = sorted(FIRST_SEED.values())
     assert min(np.diff(firsts)) >= 1000
+    assert set(every_item()) >= {f"{noise} {machine}" for noise in NULLS for machine in MACHINES}
     for kind in NULLS:
         assert _noise(kind, (3, 2), np.random.default_rng(0)).shape == (3, 2)
 
@@ -179,15 +206,13 @@ def told(formula, *others):
             before = Diagnose(length=5, windows=12).baseline(problem)
             cause = SimpleNamespace(
                 confused_with=tuple(Alternative("law", "elbow", "", "", None, o) for o in others),
-                to_json=lambda rank: {
-                    "effect": "law",
-                    "target": "elbow",
-                    "formula": formula,
-                    "acts_like": None,
-                },
+                effect="law",
+                target="elbow",
+                formula=formula,
             )
             return SimpleNamespace(
                 causes=[cause],
+                stated=[],
                 verdict="partly",
                 window_steps=5,
                 simulator_steps=7,
@@ -200,7 +225,8 @@ def told(formula, *others):
 
 def test_a_run_hides_its_law_and_knows_what_it_is_worth(monkeypatch):
     """Whatever is said, the true law gains many nats on the recorded data; its formula counts as
-    right where it is said, as among the others where it is what the cause is confused with.
+    right where it is said, as among the others where it is what the cause is confused with. What
+    is said gains half a nat a transition of what the machine itself gains.
     """
     pytest.importorskip("sympy")
     monkeypatch.setattr("dropo.studies.laws.study.WINDOWS", 12)
@@ -213,16 +239,16 @@ def test_a_run_hides_its_law_and_knows_what_it_is_worth(monkeypatch):
     ):
         monkeypatch.setattr("dropo.studies.laws.study.Diagnose", told(formula, *others))
         said.append(run(item))
-    assert [(one["right"], one["among"]) for one in said] == [
-        (True, True),
-        (False, True),
-        (False, False),
+    assert [(one["right"], one["among"], one["false"]) for one in said] == [
+        (True, True, 0),
+        (False, True, 1),
+        (False, False, 1),
     ]
     first = said[0]
     assert (first["hidden"], first["target"]) == ("-c * abs(v) * v", "elbow")
     assert first["causes"] == [["law", "elbow", "-c1 * v * abs(v)"]]
     assert first["nats"] > 100
-    assert first["share"] == pytest.approx(0.5 * 12 * 5 / first["nats"])
+    assert 0 < first["share"] <= 0.5 * 12 * 5 / first["nats"]
     assert {one["nats"] for one in said} == {first["nats"]}
 
 
@@ -231,6 +257,7 @@ def test_no_law_is_proposed_where_nothing_is_hidden(monkeypatch):
     pytest.importorskip("sympy")
     monkeypatch.setattr("dropo.studies.laws.study.WINDOWS", 12)
     monkeypatch.setattr("dropo.studies.laws.study.RIVALS", ("joint_damping",))
-    answer = run(["null", "gaussian", 2000])
-    assert answer["causes"] == answer["acts_like"] == []
+    answer = run(["null", "gaussian torque-arm", 2000])
+    assert answer["causes"] == []
+    assert answer["stated"] == 0
     assert not {"hidden", "nats", "share"} & set(answer)
