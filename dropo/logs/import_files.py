@@ -24,6 +24,8 @@ PROBLEM = "problem.yaml"
 RECORD = "import.json"
 SUM = "problem_sum"
 """In import.json the SHA-256 of the problem file as it was written."""
+BEFORE = "before"
+"""In import.json those of files as the import before wrote them, where it wrote others."""
 
 
 def check_place(out: Path) -> None:
@@ -42,7 +44,7 @@ def check_place(out: Path) -> None:
     if out.suffix != ".npz":
         raise BadFile(out, "--out", "a file that ends in .npz", repr(out.suffix))
     problem = out.parent / PROBLEM
-    if problem.exists() and sum_of(problem.read_bytes()) != written_sum(out.parent / RECORD, SUM):
+    if problem.exists() and not is_as_written(problem, out.parent / RECORD, SUM):
         expected = (
             "no file, or one that an import wrote, since this one would be lost (move it, or "
             "import into another folder)"
@@ -66,25 +68,35 @@ def sum_of(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
-def written_sum(record: Path, key: str) -> str:
-    """Read the SHA-256 of a file that the import before wrote.
+def is_as_written(path: Path, record: Path, key: str) -> bool:
+    """Tell whether a file is as the last import wrote it, or the one before.
+
+    An import that is killed may have replaced the record alone.
 
     Parameters
     ----------
+    path : Path
+        The file.
     record : Path
-        Its import.json.
+        The import's import.json.
     key : str
-        Under which it stands there.
+        Under which the file's SHA-256 stands there.
 
     Returns
     -------
-    str
-        Empty where it is not known.
+    bool
     """
+    return sum_of(path.read_bytes()) in _written_sums(record, key)
+
+
+def _written_sums(record: Path, key: str) -> list[str]:
+    """The SHA-256 of a file as the last import wrote it, and as the one before did, where known."""
     try:
-        return str(json.loads(record.read_text()).get(key, ""))
+        content = json.loads(record.read_text())
+        known = [content.get(key), content.get(BEFORE, {}).get(key)]
     except (OSError, ValueError, AttributeError):
-        return ""
+        return []
+    return [one for one in known if isinstance(one, str)]
 
 
 def write_import(
@@ -118,16 +130,24 @@ def write_import(
     out.parent.mkdir(parents=True, exist_ok=True)
     problem = _problem_text(found, out.name, model, robot, command, str(facts.get("robot", "")))
     record = found.to_json() | dict(facts) | {SUM: sum_of(problem.encode())}
+    before = {}
+    for key in (SUM, *facts):
+        known = _written_sums(out.parent / RECORD, key)
+        if key.endswith("_sum") and known and known[0] != record[key]:
+            before[key] = known[0]
+    if before:
+        record[BEFORE] = before
     for rows in record["runs"].values():
         rows["log"] = way_to(rows["log"], out.parent)
     with ExitStack() as stack:
-        # The record appears first, so that no file is there of which it does not know.
-        names = (out.name, PROBLEM, *files, RECORD)
+        # The record appears first, so that no file is there of which it does not know, then the
+        # problem file, which tells that all others are an import's.
+        names = (out.name, *files, PROBLEM, RECORD)
         parts = [stack.enter_context(atomic_write(out.parent / name)) for name in names]
         write_npz(parts[0], found.arrays)
-        write_text(parts[1], problem)
-        for part, text in zip(parts[2:-1], files.values(), strict=True):
+        for part, text in zip(parts[1:-2], files.values(), strict=True):
             write_text(part, text)
+        write_text(parts[-2], problem)
         write_json(parts[-1], record)
 
 

@@ -27,9 +27,9 @@ from dropo.logs.import_files import (
     PROBLEM,
     RECORD,
     check_place,
+    is_as_written,
     sum_of,
     write_import,
-    written_sum,
 )
 from dropo.logs.importing import (
     DEFAULTS,
@@ -209,11 +209,10 @@ def _check_folder(folder: Path, mapping: Path | None) -> None:
     check_place(folder / DATA)
     place = folder / MAP
     is_given = mapping is not None and mapping.resolve() == place.resolve()
-    if place.exists() and not is_given:
-        is_ours = sum_of(place.read_bytes()) == written_sum(folder / RECORD, MAP_SUM)
-        if not is_ours:
-            expected = f"no file, or one that `init` wrote (give this one with --map {place})"
-            raise BadFile(place, "", expected, "one that was changed")
+    is_lost = place.exists() and not is_given
+    if is_lost and not is_as_written(place, folder / RECORD, MAP_SUM):
+        expected = f"no file, or one that `init` wrote (give this one with --map {place})"
+        raise BadFile(place, "", expected, "one that was changed")
     if (folder / PROBLEM).exists():
         return  # which an import wrote, with the others
     for name in (MODEL, DATA):

@@ -303,22 +303,33 @@ def test_a_tossed_box(tmp_path: Path) -> None:
         init(tmp_path / "box.xml", tmp_path / "log.csv", tmp_path / "again")
 
 
-def test_what_a_kill_leaves_is_no_edit(example: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whatever of a new folder's files stand in their places, the same call makes it whole."""
+@pytest.mark.parametrize("count", [1, 2, 3, 4])
+def test_what_a_kill_leaves_is_no_edit(
+    example: Path, monkeypatch: pytest.MonkeyPatch, count: int
+) -> None:
+    """Of a new folder's files some stand in their places: the same call makes it whole. So it does
+    where another mapping had made a whole one before.
+    """
     replace = Path.replace
-    done: list[Path] = []
+    done: list[str] = []
 
     def killed(self: Path, target: Path) -> Path:
-        if done and self.parent.name == "out":
+        if len(done) == count and self.parent.name == "out":
             raise KeyboardInterrupt
-        if target.name in ("data.npz", "problem.yaml", "import.json", "map.yaml"):
-            done.append(target)
+        if target.name in ("data.npz", "problem.yaml", "import.json", "map.yaml", "model.xml"):
+            done.append(target.name)
         return replace(self, target)
 
-    with monkeypatch.context() as patch:
-        patch.setattr(Path, "replace", killed)
-        with pytest.raises(KeyboardInterrupt):
-            init(example / "arm.xml", logs(example), example / "out")
-    assert len(list((example / "out").iterdir())) == 1
-    init(example / "arm.xml", logs(example), example / "out")
-    assert load(example / "out" / "problem.yaml").trajectories
+    def init_killed(**given: Any) -> None:
+        done.clear()
+        with monkeypatch.context() as patch:
+            patch.setattr(Path, "replace", killed)
+            with pytest.raises(KeyboardInterrupt):
+                init(example / "arm.urdf", logs(example), example / "out", **given)
+
+    init_killed()
+    init(example / "arm.urdf", logs(example), example / "out")
+    (example / "mine.yaml").write_text("rate: 50\n")
+    init_killed(mapping=example / "mine.yaml")
+    init(example / "arm.urdf", logs(example), example / "out", mapping=example / "mine.yaml")
+    assert load(example / "out" / "problem.yaml").simulator.control_step == pytest.approx(0.02)
