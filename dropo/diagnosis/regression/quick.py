@@ -149,6 +149,7 @@ class QuickDiagnose:
 
     def _run(self, problem: Problem) -> QuickDiagnosis:
         simulator = robot_of(problem)
+        before = simulator.steps
         fitted, checked = sides(problem, self.settings.checked)
         faults = wiring_faults(problem)
         estimate = estimate_missing(problem, fitted, self.settings)
@@ -180,7 +181,11 @@ class QuickDiagnose:
             )
         forces = self._forces(problem, equation, estimate, bool(causes))
         extended = _extended(problem, estimate) if causes else problem
-        friction = None if faults or unknown else self._friction(extended, fitted, estimate)
+        friction = None
+        if not (faults or unknown):
+            own = robot_of(extended).without_parameters()
+            friction = self._friction(own, fitted, estimate)
+            simulator.steps += own.steps
         if friction is not None:
             causes.append(_cause_of(friction))
             extended = _with_friction(extended, friction)
@@ -193,6 +198,7 @@ class QuickDiagnose:
             problem=extended,
             to_type=to_type(problem, extended, {}) if causes else (),
             warnings=tuple(warnings),
+            simulator_steps=simulator.steps - before,
         )
 
     def _causes(self, numbers: "list[FoundNumber]", estimate: "Missing") -> list[Cause]:
@@ -226,16 +232,13 @@ class QuickDiagnose:
         return found
 
     def _friction(
-        self, extended: Problem, fitted: Trajectories, estimate: "Missing"
+        self, simulator: RobotSimulator, fitted: Trajectories, estimate: "Missing"
     ) -> FoundFriction | None:
         """The friction of contacts, where the base is free and another one than the model's."""
-        simulator = robot_of(extended)
         if not estimate.fitter.equation.by_joint or not knows_starts(simulator):
             return None
         settings = self.settings
-        found = find_friction(
-            simulator.without_parameters(), fitted, settings.bias, settings.contacts
-        )
+        found = find_friction(simulator, fitted, settings.bias, settings.contacts)
         return found if found is not None and found.is_certain(settings.certain) else None
 
     def _forces(

@@ -197,6 +197,8 @@ class QuickDiagnosis(Report):
         What is unusual in the data.
     wall_time_s : float
         How long it took [s].
+    simulator_steps : int
+        Physics steps of the windows that were simulated for the friction of contacts.
     """
 
     name: str
@@ -208,6 +210,7 @@ class QuickDiagnosis(Report):
     to_type: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     wall_time_s: float = 0.0
+    simulator_steps: int = 0
 
     @property
     def parameters(self) -> Mapping[str, float]:
@@ -310,7 +313,7 @@ class QuickDiagnosis(Report):
             "warnings": list(self.warnings),
             "seed": None,
             "version": __version__,
-            "simulator_steps": 0,
+            "simulator_steps": self.simulator_steps,
             "wall_time_s": round(self.wall_time_s, 3),
         }
 

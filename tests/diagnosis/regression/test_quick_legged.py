@@ -58,6 +58,7 @@ def test_the_grounds_friction(tmp_path: Path) -> None:
     factor = found.causes[0].estimate["sliding"]
     assert abs(factor.value - (0.4 / 0.7 - 1)) < 3 * factor.se < 3 * 0.05
     assert "short simulations" in found.headline()
+    assert found.to_json()["simulator_steps"] > 0
     assert any('name="floor"' in line for line in found.to_type)
 
 
