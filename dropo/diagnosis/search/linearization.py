@@ -9,6 +9,7 @@ import numpy as np
 
 from dropo.core.contracts.effect import EffectInstance
 from dropo.core.contracts.simulator import Simulator
+from dropo.core.numerics.finite_differences import axial_design
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
 from dropo.diagnosis.search.whitening import Whitener, WindowNoise, learn_noise
@@ -31,15 +32,11 @@ class DerivativeSettings:
         For a magnitude of an effect, as a fraction of its smallest probe.
     kept : int
         So many Jacobians are kept for those who ask for the same again.
-    straight : float
-        Predictions count as straight in the start within the noise where they bend by less than
-        this fraction of what it makes of them.
     """
 
     of_interval: float = 1e-3
     of_probe: float = 0.1
     kept: int = 4
-    straight: float = 0.01
 
 
 DEFAULTS = DerivativeSettings()
@@ -327,14 +324,18 @@ def linearize(
 
     Of a signal that was estimated sigma is wide, so that its start is free; but the start is not
     that far off. Its differences are as wide as its errors are, and the second order is theirs.
-
-    Predictions bend where contacts begin or end, which is a matter of positions. Where a start that
-    is lower in all velocities is predicted as those that are higher in one say, predictions are
-    straight in them, and are not simulated from starts that are lower in one.
     """
     sigma = noise.sigma
+    p = len(sigma)
     width = sigma if windows.start_sd is None else np.minimum(sigma, windows.start_sd)
-    centre, upper, lower, lost = _from_shifted_starts(library, windows, theta, sigma, width)
+    # Row 0: the measured start; then each signal larger by its width, then each smaller.
+    offsets = np.repeat(axial_design(width, -width)[:, None], len(windows), axis=1)
+    predicted = library.predict(np.repeat(theta[None], 2 * p + 1, axis=0), windows, offsets)
+    lost = np.asarray(~np.isfinite(predicted).all(axis=(0, 2)))
+    predicted[:, lost] = 0.0
+    centre = predicted[0]
+    upper = predicted[1 : p + 1]
+    lower = predicted[p + 1 :]
     # (p, W, n) half the second derivative times width^2, and the first derivative times sigma.
     curvature = 0.5 * (upper + lower) - centre
     linear = 0.5 * (upper - lower) * (sigma / width)[:, None, None]
@@ -349,48 +350,6 @@ def linearize(
         )
     whiten = whitener(library, windows, theta, noise, loadings)
     return LinearizedWindows(windows, theta, residuals, shift, whiten, lost, (theta, noise))
-
-
-def _from_shifted_starts(
-    library: Library, windows: Windows, theta: Array, sigma: Array, width: Array
-) -> tuple[Array, Array, Array, np.ndarray]:
-    """(W, n) predictions from the measured starts, (p, W, n) those from starts where each signal is
-    larger by its width, and smaller; (W,) the windows that diverge in any, which are 0 in all.
-    """
-    p = len(sigma)
-    rates = [signal.unit.endswith("/s") for signal in library.simulator.signals]
-    fast = np.flatnonzero(rates)
-    slow = np.setdiff1d(np.arange(p), fast)
-    larger = np.diag(width)
-    together = -larger[fast].sum(axis=0)[None] if len(fast) > 1 else -larger[fast]
-    moves = np.concatenate([np.zeros((1, p)), larger, -larger[slow], together])
-    predicted = _from_starts(library, windows, theta, moves)
-    centre = predicted[0]
-    upper = predicted[1 : p + 1]
-    change = upper - centre
-    lower = centre - change
-    lower[slow] = predicted[p + 1 : p + 1 + len(slow)]
-    if len(fast):
-        # Rates bend little: where all of them together do not, none is simulated by itself.
-        by_start = change * (sigma / width)[:, None, None]
-        spread = np.sqrt((by_start**2).sum(axis=0) + np.tile(sigma, windows.length) ** 2)
-        bend = np.abs(predicted[-1] - lower[fast].sum(axis=0) + (len(fast) - 1) * centre)
-        straight = (bend < library.differences.straight * spread).all(axis=1)
-        bent = np.flatnonzero(~straight & np.isfinite(upper).all(axis=(0, 2)))
-        if len(bent):
-            lower[np.ix_(fast, bent)] = _from_starts(
-                library, windows.take(bent), theta, -larger[fast]
-            )
-    lost = np.asarray(~np.isfinite(upper + lower).all(axis=(0, 2)))
-    for predictions in (centre[None], upper, lower):
-        predictions[:, lost] = 0.0
-    return centre, upper, lower, lost
-
-
-def _from_starts(library: Library, windows: Windows, theta: Array, moves: Array) -> Array:
-    """(K, W, n) predictions from the measured starts of all windows moved by each of (K, p)."""
-    offsets = np.repeat(moves[:, None], len(windows), axis=1)
-    return library.predict(np.repeat(theta[None], len(moves), axis=0), windows, offsets)
 
 
 def step_lengths(library: Library, windows: Windows, loadings: Array, sigma: Array) -> Array:

@@ -173,11 +173,10 @@ def _under(
     noise: WindowNoise,
     settings: RefitSettings = DEFAULTS,
 ) -> LinearizedWindows:
-    """Windows under a noise, linearized anew where it is quite another and that changes much."""
-    other = with_other_noise(library, linearized, noise)
-    if _is_other(linearized, noise, settings) and _is_outdated(library, other, settings):
+    """Windows under a noise, linearized anew where it is quite another."""
+    if _is_other(linearized, noise, settings):
         return linearize(library, linearized.windows, linearized.theta, noise)
-    return other
+    return with_other_noise(library, linearized, noise)
 
 
 def _is_other(linearized: LinearizedWindows, noise: WindowNoise, settings: RefitSettings) -> bool:

@@ -141,21 +141,6 @@ def test_a_fit_that_changed_nothing_is_not_linearized_anew(arm):
     assert renewed.linearized_at[0] is far
 
 
-def test_starts_lower_in_one_velocity_are_simulated_where_predictions_bend(arm):
-    """An arm's predictions are straight in its velocities: one start serves both, and likelihoods
-    are those of all starts within a thousandth of a nat a window. Control: where nothing counts as
-    straight each is simulated.
-    """
-    library, windows, theta, noise = arm
-    each = replace(library, differences=replace(library.differences, straight=0.0))
-    quick, steps = spent(library, lambda: linearize(library, windows, theta, noise))
-    central, more = spent(library, lambda: linearize(each, windows, theta, noise))
-    once = windows.steps * library.simulator.steps_per_action
-    assert (steps, more) == (8 * once, 10 * once)
-    off = quick.log_likelihood - central.log_likelihood
-    assert 0 < np.abs(off).max() < 1e-3
-
-
 def test_first_steps_of_windows_tell_that_an_effect_is_there(monkeypatch):
     """Nothing is linearized anew then. Control: of an effect that they do not show, single steps
     all over the windows are asked.
