@@ -120,6 +120,9 @@ class Chooser:
         own = families.pop(OWN_GAIN, ())
         families.pop(INERTIA, ())
         found = self._by_gains(families, own)
+        for few in self._few(families, own):
+            if self._is_simpler(found, few):
+                found = few
         if not self._beside_laws(found):
             return found
         body = self._of_one_body(families, [i for i in found.terms if i in own])
@@ -146,6 +149,60 @@ class Chooser:
         first = self._first(tuple(i for group in groups for i in group))
         return self._selected(first, families, groups)
 
+    def _few(self, families: dict[str, Group], own: Group) -> list[Solution]:
+        """What is chosen from nothing on, one thing after another: where little is missing.
+
+        Also from the inertial numbers of the body that explains most: one of them alone may explain
+        less than what merely acts like it.
+        """
+        begun = self._begun(())
+        groups = [*self._candidates(families), *((i,) for i in own)]
+        bodies = [self.fitter.refined(replace(begun, chosen=one)) for one in self._of_bodies()]
+        starts = [begun, *sorted(bodies, key=self.fitter.badness)[:1]]
+        return [self._one_by_one(start, groups) for start in starts]
+
+    def _one_by_one(self, solution: Solution, groups: list[Group]) -> Solution:
+        """The solution with one more thing as long as it explains data held out."""
+        solution = self.without_needless(solution, [(i,) for i in solution.chosen])
+        for _ in range(self.settings.rounds):
+            larger = self.with_more(solution, groups, rounds=1)
+            loaded = self._with_payload(solution)
+            if loaded is not None and self.fitter.badness(loaded) < self.fitter.badness(larger):
+                larger = loaded
+            if larger is solution:
+                break
+            solution = larger
+        singles = [(i,) for i in solution.chosen]
+        return self.certain(self.without_needless(solution, singles))
+
+    def _with_payload(self, solution: Solution) -> Solution | None:
+        """The solution with the payload that leaves least; None where it has one, or none helps."""
+        fitter = self.fitter
+        if solution.payload is not None or self._has_inertia(solution):
+            return None
+        best: Solution | None = None
+        least = fitter.badness(solution) - self.settings.payload * float(fitter.equation.used.sum())
+        for body in range(len(fitter.equation.by_inertia)):
+            loaded = fitter.refined(fitter.solve(fitter.loaded(solution, (body,))))
+            if loaded.payload is None or loaded.payload.mass > fitter.heaviest:
+                continue
+            if fitter.badness(loaded) < least:
+                best = loaded
+                least = fitter.badness(loaded)
+        return best
+
+    def _has_inertia(self, solution: Solution) -> bool:
+        """Whether a body's inertial numbers are among the terms."""
+        return any(self.fitter.terms[i].family in INERTIAL for i in solution.terms)
+
+    def _of_bodies(self) -> list[Group]:
+        """The inertial numbers of each body."""
+        bodies: dict[str | None, Group] = {}
+        for i, term in enumerate(self.fitter.terms):
+            if term.family in INERTIAL:
+                bodies[term.target] = (*bodies.get(term.target, ()), i)
+        return list(bodies.values())
+
     def _of_one_body(self, families: dict[str, Group], weak: Iterable[int]) -> Solution | None:
         """What is chosen where the mass, its centre and the inertia of one body may be wrong.
 
@@ -155,12 +212,9 @@ class Chooser:
         fitter = self.fitter
         groups = [families[name] for name in LAWS if name in families] + [(i,) for i in weak]
         begun = self._begun(tuple(i for group in groups for i in group))
-        bodies: dict[str | None, Group] = {}
-        for i, term in enumerate(fitter.terms):
-            if term.family in INERTIAL:
-                bodies[term.target] = (*bodies.get(term.target, ()), i)
         loaded = [
-            fitter.refined(replace(begun, chosen=(*begun.chosen, *own))) for own in bodies.values()
+            fitter.refined(replace(begun, chosen=(*begun.chosen, *own)))
+            for own in self._of_bodies()
         ]
         if not loaded:
             return None
@@ -198,7 +252,9 @@ class Chooser:
         if self._is_large(body, found.spread):
             return False
         fewer = self._candidates_in(found) - self._candidates_in(body)
-        return fewer > 0 or (fewer == 0 and self._is_large(found, body.spread))
+        if fewer:
+            return fewer > 0
+        return self._is_large(found, body.spread) or len(body.chosen) < len(found.chosen)
 
     def _selected(
         self, solution: Solution, families: dict[str, Group], groups: list[Group]
@@ -323,9 +379,9 @@ class Chooser:
                 dropped = [i for i in solution.chosen if i in group]
                 left = tuple(i for i in solution.chosen if i not in group)
                 without = replace(solution, chosen=left)
-                # Beside a payload the gain stays: the two share the scale of all forces.
-                shared = GAIN in group and solution.payload is not None
-                if dropped and not shared:
+                if dropped and GAIN in group and solution.payload is not None:
+                    needless += self._if_gain_needless(solution, without, present)
+                elif dropped:
                     needless += self._if_needless(solution, without, dropped, tables, present)
             if solution.payload is not None:
                 without = replace(solution, payload=None)
@@ -349,7 +405,23 @@ class Chooser:
             return []
         return [(_worth(errors, present)[0], without)]
 
-    def with_more(self, solution: Solution, groups: Sequence[Group]) -> Solution:
+    def _if_gain_needless(
+        self, solution: Solution, without: Solution, present: Array
+    ) -> list[tuple[float, Solution]]:
+        """The same of the drives' gain beside a payload, with which it shares all forces' scale.
+
+        All numbers are others without it, the payload's place too.
+        """
+        without = self.fitter.refined(replace(without, gain=0.0))
+        weighted = replace(without, weights=solution.weights)
+        errors = self.held_out(weighted, self.tables(weighted))
+        if self._is_worth(errors, present, self._drive_size(solution, (GAIN,))):
+            return []
+        return [(_worth(errors, present)[0], without)]
+
+    def with_more(
+        self, solution: Solution, groups: Sequence[Group], *, rounds: int | None = None
+    ) -> Solution:
         """Add the groups that data held out ask for, the one that helps most first.
 
         A group is left out where it would free the scale of all masses a second time.
@@ -360,13 +432,15 @@ class Chooser:
             The numbers so far.
         groups : sequence of tuple of int
             Indices of the terms that are added together.
+        rounds : int, optional
+            How many at most; by default the settings' number.
 
         Returns
         -------
         Solution
             The numbers with up to `rounds` more groups.
         """
-        for _ in range(self.settings.rounds):
+        for _ in range(self.settings.rounds if rounds is None else rounds):
             tables = self.tables(solution)
             present = self.held_out(solution, tables)
             best: tuple[float, Solution | None] = (0.0, None)

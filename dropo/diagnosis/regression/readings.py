@@ -34,6 +34,8 @@ from dropo.mjmodel.joints import Joint, joints, numbers_of
 
 MOVES = 1e-9
 """A joint whose positions spread by less rests [rad, m]."""
+ALONG = 1e-6
+"""A pull of which less than this fraction is not along the speed goes with the speed alone."""
 Stretch = tuple[int, int, int]
 """A run, its first row, and the row behind the last."""
 
@@ -298,7 +300,10 @@ class Readings:
             None where there is no servo, or nothing follows the command.
         """
         motion = self._motion(reading)
-        if not np.any(motion.bias[:, dof]):
+        back, speed = motion.bias[:, dof], motion.velocity[:, dof]
+        beside = back - back @ speed / max(float(speed @ speed), 1e-300) * speed
+        # A pull against the speed alone is what viscous friction gives, of which any is fitted.
+        if not np.linalg.norm(beside) > ALONG * np.linalg.norm(back):
             return None
         found = []
         for delay in self.settings.delays:

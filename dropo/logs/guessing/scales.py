@@ -69,6 +69,8 @@ class ScaleSettings:
 
 
 DEFAULTS = ScaleSettings()
+BEGINS = 1e-3
+"""The part of a turn within which a first count is 0."""
 _ANGLES = ("rad", "deg", "rev", "tick")
 """Units of angles, and the first word of an encoder's."""
 
@@ -296,10 +298,14 @@ def _ticks(
 
 
 def _counts(values: Sequence[Array], turn: float, why: str) -> Scale:
-    """Counts of an encoder, from its middle where all are above 0."""
+    """Counts of an encoder, from its middle where all are above 0.
+
+    One that counts from where it is switched on begins at 0.
+    """
     above = min(float(one.min()) for one in values) >= 0
-    offset = -turn / 2 if above else 0.0
-    middle = f", 0 at its middle, {turn / 2:g}" if above else ""
+    from_start = all(abs(float(one[0])) <= BEGINS * turn for one in values)
+    offset = -turn / 2 if above and not from_start else 0.0
+    middle = f", 0 at its middle, {turn / 2:g}" if offset else ""
     return Scale(f"tick/{turn:.10g}", why + middle, offset)
 
 
