@@ -19,6 +19,8 @@ from dropo.diagnosis.regression.terms import INERTIA, INERTIAL, LAWS, OWN_GAIN, 
 from dropo.diagnosis.search.confirmation import signed_rank_score
 
 Group = tuple[int, ...]
+PAYLOAD_NUMBERS = 4
+"""Of a payload: its mass and its place."""
 
 
 @dataclass(frozen=True)
@@ -247,14 +249,25 @@ class Chooser:
             if self.fitter.terms[i].family == "mass"
         )
 
-    def _is_simpler(self, found: Solution, body: Solution) -> bool:
-        """Whether a body's inertial numbers explain as much in fewer things, or more in as many."""
-        if self._is_large(body, found.spread):
+    def _is_simpler(self, found: Solution, other: Solution) -> bool:
+        """Whether another solution explains as much in fewer things, or more in as many.
+
+        Of as many things the one with fewer numbers is simpler: those of laws come last.
+        """
+        if self._is_large(other, found.spread):
             return False
-        fewer = self._candidates_in(found) - self._candidates_in(body)
+        things, numbers = self._candidates_in(found), self._numbers_in(found)
+        fewer = things - self._candidates_in(other)
         if fewer:
             return fewer > 0
-        return self._is_large(found, body.spread) or len(body.chosen) < len(found.chosen)
+        return self._is_large(found, other.spread) or self._numbers_in(other) < numbers
+
+    def _numbers_in(self, solution: Solution) -> tuple[int, int]:
+        """How many numbers are free: without those of laws, and all."""
+        terms = self.fitter.terms
+        laws = sum(terms[i].family in LAWS for i in solution.terms)
+        count = len(solution.chosen) + (0 if solution.payload is None else PAYLOAD_NUMBERS)
+        return count - laws, count
 
     def _selected(
         self, solution: Solution, families: dict[str, Group], groups: list[Group]

@@ -283,6 +283,35 @@ class Readings:
         """
         return bool(np.any(self._motion(self.plain).bias[:, dof]))
 
+    def follows_speed(self, dof: int) -> float:
+        """Say how closely a joint moves at the speed that its drive is told.
+
+        Parameters
+        ----------
+        dof : int
+            A degree of freedom.
+
+        Returns
+        -------
+        float
+            The correlation of speed and command; 0 where the drive takes no speeds.
+        """
+        motion = self._motion(self.plain)
+        if not self._brakes(motion, dof):
+            return 0.0
+        told = self._drive(self.plain, motion, dof, 0.0)
+        back = -motion.bias[:, dof]
+        if not (np.ptp(told) > 0 and np.ptp(back) > 0):
+            return 0.0
+        return float(np.corrcoef(told, back)[0, 1])
+
+    def _brakes(self, motion: _SmoothedMotion, dof: int) -> bool:
+        """Whether a drive pulls against the speed alone, as viscous friction does."""
+        back, speed = motion.bias[:, dof], motion.velocity[:, dof]
+        beside = back - back @ speed / max(float(speed @ speed), 1e-300) * speed
+        size = float(np.linalg.norm(back))
+        return size > 0 and float(np.linalg.norm(beside)) <= ALONG * size
+
     def command_factor(self, reading: Reading, dof: int) -> float | None:
         """Fit the unit of a servo's command beside its pull back.
 
@@ -300,10 +329,8 @@ class Readings:
             None where there is no servo, or nothing follows the command.
         """
         motion = self._motion(reading)
-        back, speed = motion.bias[:, dof], motion.velocity[:, dof]
-        beside = back - back @ speed / max(float(speed @ speed), 1e-300) * speed
-        # A pull against the speed alone is what viscous friction gives, of which any is fitted.
-        if not np.linalg.norm(beside) > ALONG * np.linalg.norm(back):
+        # Of viscous friction, and so of a pull against the speed alone, any size is fitted.
+        if not np.any(motion.bias[:, dof]) or self._brakes(motion, dof):
             return None
         found = []
         for delay in self.settings.delays:

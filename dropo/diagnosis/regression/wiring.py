@@ -229,7 +229,9 @@ def wiring_of(problem: Problem, settings: WiringSettings = SETTINGS) -> Wiring:
         pass
     else:
         followers = _followers(robot_of(problem), problem.trajectories, settings)
-        following = _following(followers, settings)
+        following = _following(followers, settings) | {
+            dof for dof in readings.evaluated if readings.follows_speed(dof) > settings.closely
+        }
         search = _WiringSearch(readings, settings, following)
         found = search.run()
         return found if found.faults else search.of_opposed(_opposed(followers, settings))
@@ -331,7 +333,7 @@ class _WiringSearch:
         # Both signs of one joint turn its own forces around, as a load on its other side does.
         turned = {change.dofs for change in changes if change.kind == "sign"}
         # An exchange of angles is half explained by one of commands: the two are compared.
-        wires = chain(self._of_commands(reading, bad), self._of_angles(reading, bad))
+        wires = chain(self._of_commands(reading, bad), self._of_angles(reading, bad, list(now)))
         for stage in (wires, self._of_units(reading, bad)):
             for change in stage:
                 if change.kind == "sign" and change.dofs in turned:
@@ -364,11 +366,18 @@ class _WiringSearch:
             if all(len(actuators[dof]) == 1 for dof in pair):
                 yield Change("exchange", "command", pair)
 
-    def _of_angles(self, reading: Reading, bad: Sequence[int]) -> Iterator[Change]:
-        """Changes of angles, and of the units of all of them."""
+    def _of_angles(
+        self, reading: Reading, bad: Sequence[int], every: Sequence[int]
+    ) -> Iterator[Change]:
+        """Changes of angles: of joints' signs, and exchanges.
+
+        A joint that turns the wrong way may be explained itself, and not those that carry it, whose
+        inertia it changes: the signs of all are tried.
+        """
         bad = [dof for dof in bad if dof not in self.following]
-        for dof in bad:
-            yield Change("sign", "angle", (dof,))
+        for dof in every:
+            if dof not in self.following:
+                yield Change("sign", "angle", (dof,))
         for pair in combinations(bad, 2):
             yield Change("exchange", "angle", pair)
 

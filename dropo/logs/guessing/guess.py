@@ -837,7 +837,7 @@ class _Guesser:
 
 
 def _likeness_of_speed(pair: Array) -> float:
-    """The correlation of commands with the speed of a joint, both (n,) as means over short spans."""
+    """The correlation of commands with a joint's speed, both as means over short spans."""
     span = max(1, pair.shape[1] // SPANS)
     commands = np.convolve(pair[0], np.ones(span) / span, mode="valid")[:-1]
     moved = pair[1][span:] - pair[1][:-span]
