@@ -234,7 +234,10 @@ def wiring_of(problem: Problem, settings: WiringSettings = SETTINGS) -> Wiring:
         }
         search = _WiringSearch(readings, settings, following)
         found = search.run()
-        return found if found.faults else search.of_opposed(_opposed(followers, settings))
+        opposed = _opposed(followers, settings) + [
+            dof for dof in readings.evaluated if readings.follows_speed(dof) < -settings.closely
+        ]
+        return found if found.faults else search.of_opposed(opposed)
     try:
         return Wiring(faults_of_followers(robot_of(problem), problem.trajectories, settings))
     except (Incompatible, BadArgument):

@@ -413,8 +413,8 @@ def command_unit(commands: Array, logged: Array, hint: str | None, position: Sca
     Returns
     -------
     Scale
-        That in which commands and positions are nearest; another than the positions' only where the
-        distance is less than half.
+        That in which commands move as far as positions; another than the positions' only where
+        theirs is off by far more. A joint that follows late is far from its command at each time.
     """
     si, factor = known_unit(position.unit)
     named = unit_named(hint or "")
@@ -422,19 +422,19 @@ def command_unit(commands: Array, logged: Array, hint: str | None, position: Sca
         return Scale(hint, "its name says so")
     if not len(commands):
         return Scale(position.unit, "no row has both", position.offset)
-    measured = factor * (position.sign * logged + position.offset)
-
-    def distance(unit: str) -> float:
-        wanted = known_unit(unit)[1] * commands
-        apart = [wanted - wanted.mean() - sign * (measured - measured.mean()) for sign in (1, -1)]
-        return float(min(np.sqrt(np.mean(one**2)) for one in apart))
-
     best = Scale(position.unit, "the joint follows them", position.offset)
-    nearest = distance(best.unit)
+    told, moved = float(commands.std()), float(factor * logged.std())
+    if not (told > 0 and moved > 0):
+        return best
+
+    def beside(unit: str) -> float:
+        return abs(math.log(known_unit(unit)[1] * told / moved))
+
+    nearest = beside(best.unit)
     for unit in {"rad": ("rad", "deg"), "m": ("m", "cm", "mm")}[si]:
-        if unit != position.unit and distance(unit) < 0.5 * nearest:
+        if beside(unit) < 0.5 * nearest:
             best = Scale(unit, "the joint follows them")
-            nearest = distance(unit)
+            nearest = beside(unit)
     return best
 
 

@@ -537,6 +537,25 @@ def test_currents_and_commanded_velocities_have_their_units(tmp_path: Path) -> N
     assert units == {"hip_servo": "rad/s", "knee_servo": "deg/s"}
 
 
+def test_late_followers_are_told_in_their_own_unit(tmp_path: Path) -> None:
+    """Angles in counts, and goals in rad that joints follow a quarter of a turn late."""
+    late = {"hip": 0.5 * np.cos(3 * TIME), "knee": 0.4 * np.cos(3 * TIME)}
+    counts = {f"{name} q": np.rint(4096 / np.pi / 2 * one) for name, one in late.items()}
+    goals = {f"{name} cmd": 0.6 * np.sin(3 * TIME) for name in late}
+    given = {"left_hip": {"column": "hip q", "unit": "tick/4096"}}
+    servos = robot(SERVOS)
+    found = guess(
+        tmp_path,
+        {"t": TIME} | counts | goals,
+        servos,
+        given={
+            "qpos": given,
+            "ctrl": {"hip_servo": {"column": "hip cmd"}, "knee_servo": {"column": "knee cmd"}},
+        },
+    )
+    assert {entry["unit"] for entry in found.mapping["ctrl"].values()} == {"rad"}
+
+
 @pytest.mark.parametrize("begins", [0.0, 1900.0])
 def test_counts_that_begin_at_0_have_no_middle(tmp_path: Path, begins: float) -> None:
     """An encoder that counts from where it is switched on, beside one that knows its place."""
