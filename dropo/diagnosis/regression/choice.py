@@ -165,7 +165,7 @@ class Chooser:
 
     def _one_by_one(self, solution: Solution, groups: list[Group]) -> Solution:
         """The solution with one more thing as long as it explains data held out."""
-        solution = self.without_needless(solution, [(i,) for i in solution.chosen])
+        solution = self.without_needless(solution, self._one_each(solution))
         for _ in range(self.settings.rounds):
             larger = self.with_more(solution, groups, rounds=1)
             loaded = self._with_payload(solution)
@@ -174,8 +174,7 @@ class Chooser:
             if larger is solution:
                 break
             solution = larger
-        singles = [(i,) for i in solution.chosen]
-        return self.certain(self.without_needless(solution, singles))
+        return self.certain(self.without_needless(solution, self._one_each(solution)))
 
     def _with_payload(self, solution: Solution) -> Solution | None:
         """The solution with the payload that leaves least; None where it has one, or none helps."""
@@ -252,7 +251,8 @@ class Chooser:
     def _is_simpler(self, found: Solution, other: Solution) -> bool:
         """Whether another solution explains as much in fewer things, or more in as many.
 
-        Of as many things the one with fewer numbers is simpler: those of laws come last.
+        Of as many things the one with fewer numbers is simpler, and of as many numbers the likelier
+        one: numbers of laws, and inertia beside a mass, are counted there.
         """
         if self._is_large(other, found.spread):
             return False
@@ -262,12 +262,14 @@ class Chooser:
             return fewer > 0
         return self._is_large(found, other.spread) or self._numbers_in(other) < numbers
 
-    def _numbers_in(self, solution: Solution) -> tuple[int, int]:
-        """How many numbers are free: without those of laws, and all."""
+    def _numbers_in(self, solution: Solution) -> tuple[int, float]:
+        """How many numbers are free beside laws, and Schwarz's criterion [nats]."""
         terms = self.fitter.terms
         laws = sum(terms[i].family in LAWS for i in solution.terms)
         count = len(solution.chosen) + (0 if solution.payload is None else PAYLOAD_NUMBERS)
-        return count - laws, count
+        price = 0.5 * np.log(max(float(self.fitter.equation.used.sum()), 1.0))
+        beside = len(self._beside_masses(solution))
+        return count - laws - beside, self.fitter.badness(solution) + price * count
 
     def _selected(
         self, solution: Solution, families: dict[str, Group], groups: list[Group]
@@ -305,10 +307,10 @@ class Chooser:
         return bool(np.any(explained > (self.settings.apart * forces) ** 2))
 
     def of_laws(self, solution: Solution) -> set[int]:
-        """Find the chosen terms of a law that several joints have.
+        """Find the chosen terms of a law that several joints have, and inertia beside a mass.
 
         They stay free together, even where one of them is small by itself: left out, it would be
-        made up for by the others.
+        made up for by the others. A body of another mass has another inertia, too.
 
         Parameters
         ----------
@@ -325,7 +327,27 @@ class Chooser:
         for name, places in families.items():
             if name in LAWS and len(places) > 1:
                 found |= {solution.terms[place] for place in places}
-        return found
+        return found | self._beside_masses(solution)
+
+    def _beside_masses(self, solution: Solution) -> set[int]:
+        """The inertia of the bodies whose mass is among the terms, too."""
+        terms = self.fitter.terms
+        heavy = {terms[i].target for i in solution.terms if terms[i].family == "mass"}
+        return {
+            i for i in solution.terms if terms[i].family == INERTIA and terms[i].target in heavy
+        }
+
+    def _one_each(self, solution: Solution) -> list[Group]:
+        """The chosen terms, each by itself; a mass with the inertia beside it."""
+        terms = self.fitter.terms
+        beside = self._beside_masses(solution)
+        groups: list[Group] = []
+        for i in solution.chosen:
+            if i in beside:
+                continue
+            own = [k for k in beside if i != GAIN and terms[i].family == "mass"]
+            groups.append((i, *(k for k in own if terms[k].target == terms[i].target)))
+        return groups
 
     def _first(self, chosen: Group) -> Solution:
         """All the common laws with the payload on that body, or none, that leaves least.
