@@ -123,7 +123,8 @@ class Chooser:
         families.pop(INERTIA, ())
         found = self._by_gains(families, own)
         for few in self._few(families, own):
-            if self._is_simpler(found, few):
+            scaled = GAIN in found.chosen and self._has_weight_and_laws(few)
+            if not scaled and self._is_simpler(found, few):
                 found = few
         if not self._beside_laws(found):
             return found
@@ -191,6 +192,14 @@ class Chooser:
                 best = loaded
                 least = fitter.badness(loaded)
         return best
+
+    def _has_weight_and_laws(self, solution: Solution) -> bool:
+        """Whether a payload or a body's numbers share the scale of all forces with laws.
+
+        Where a gain is free beside such, its error is that of all of them.
+        """
+        laws = any(self.fitter.terms[i].family in LAWS for i in solution.terms)
+        return laws and (solution.payload is not None or self._has_inertia(solution))
 
     def _has_inertia(self, solution: Solution) -> bool:
         """Whether a body's inertial numbers are among the terms."""
@@ -414,9 +423,9 @@ class Chooser:
                 dropped = [i for i in solution.chosen if i in group]
                 left = tuple(i for i in solution.chosen if i not in group)
                 without = replace(solution, chosen=left)
-                if dropped and GAIN in group and solution.payload is not None:
-                    needless += self._if_gain_needless(solution, without, present)
-                elif dropped:
+                # Beside a payload the gain stays: the two share the scale of all forces.
+                shared = GAIN in group and solution.payload is not None
+                if dropped and not shared:
                     needless += self._if_needless(solution, without, dropped, tables, present)
             if solution.payload is not None:
                 without = replace(solution, payload=None)
@@ -437,20 +446,6 @@ class Chooser:
         """The solution without some terms, with what these gain, if that is too little."""
         errors = self.held_out(without, tables)
         if self._is_worth(errors, present, self._drive_size(solution, dropped)):
-            return []
-        return [(_worth(errors, present)[0], without)]
-
-    def _if_gain_needless(
-        self, solution: Solution, without: Solution, present: Array
-    ) -> list[tuple[float, Solution]]:
-        """The same of the drives' gain beside a payload, with which it shares all forces' scale.
-
-        All numbers are others without it, the payload's place too.
-        """
-        without = self.fitter.refined(replace(without, gain=0.0))
-        weighted = replace(without, weights=solution.weights)
-        errors = self.held_out(weighted, self.tables(weighted))
-        if self._is_worth(errors, present, self._drive_size(solution, (GAIN,))):
             return []
         return [(_worth(errors, present)[0], without)]
 
