@@ -124,7 +124,7 @@ class Chooser:
         found = self._by_gains(families, own)
         for few in self._few(families, own):
             scaled = GAIN in found.chosen and self._has_weight_and_laws(few)
-            if not scaled and self._is_simpler(found, few):
+            if not scaled and not self._is_payload(few) and self._is_simpler(found, few):
                 found = few
         if not self._beside_laws(found):
             return found
@@ -260,25 +260,21 @@ class Chooser:
     def _is_simpler(self, found: Solution, other: Solution) -> bool:
         """Whether another solution explains as much in fewer things, or more in as many.
 
-        Of as many things the one with fewer numbers is simpler, and of as many numbers the likelier
-        one: numbers of laws, and inertia beside a mass, are counted there.
+        Of as many things the likelier one is chosen, with a price for each of its numbers.
         """
         if self._is_large(other, found.spread):
             return False
-        things, numbers = self._candidates_in(found), self._numbers_in(found)
-        fewer = things - self._candidates_in(other)
+        fewer = self._candidates_in(found) - self._candidates_in(other)
         if fewer:
             return fewer > 0
-        return self._is_large(found, other.spread) or self._numbers_in(other) < numbers
+        better = self._criterion(other) < self._criterion(found)
+        return self._is_large(found, other.spread) or better
 
-    def _numbers_in(self, solution: Solution) -> tuple[int, float]:
-        """How many numbers are free beside laws, and Schwarz's criterion [nats]."""
-        terms = self.fitter.terms
-        laws = sum(terms[i].family in LAWS for i in solution.terms)
+    def _criterion(self, solution: Solution) -> float:
+        """Schwarz's criterion [nats]: the less, the better."""
         count = len(solution.chosen) + (0 if solution.payload is None else PAYLOAD_NUMBERS)
-        price = 0.5 * np.log(max(float(self.fitter.equation.used.sum()), 1.0))
-        beside = len(self._beside_masses(solution))
-        return count - laws - beside, self.fitter.badness(solution) + price * count
+        rows = max(float(self.fitter.equation.used.sum()), 1.0)
+        return self.fitter.badness(solution) + 0.5 * float(np.log(rows)) * count
 
     def _selected(
         self, solution: Solution, families: dict[str, Group], groups: list[Group]

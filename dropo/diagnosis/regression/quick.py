@@ -26,7 +26,7 @@ from dropo.diagnosis.regression.equation import Equation, EquationSettings, equa
 from dropo.diagnosis.regression.fit import GAIN, FitSettings, Fitter, Solution, root_mean_square
 from dropo.diagnosis.regression.readings import sides
 from dropo.diagnosis.regression.resimulation import ResimulationSettings, resimulated
-from dropo.diagnosis.regression.result import JointForces, QuickDiagnosis
+from dropo.diagnosis.regression.result import JointForces, QuickDiagnosis, WiringFault
 from dropo.diagnosis.regression.terms import Term, terms_of
 from dropo.diagnosis.regression.wiring import wiring_faults
 from dropo.diagnosis.search.library import robot_of
@@ -69,6 +69,8 @@ class QuickSettings:
         forces is not told then.
     scale : float
         How well that scale is thought known then, as a standard deviation; every number has it.
+    alike : float
+        Columns are read otherwise only if numbers that are missing leave so many times the force.
     equation : EquationSettings
         How a log becomes an equation.
     fit : FitSettings
@@ -90,6 +92,7 @@ class QuickSettings:
     similarity: float = 0.98
     same: float = 0.9999
     scale: float = 0.2
+    alike: float = 2.0
     equation: EquationSettings = field(default_factory=EquationSettings)
     fit: FitSettings = field(default_factory=FitSettings)
     choice: ChoiceSettings = field(default_factory=ChoiceSettings)
@@ -147,7 +150,7 @@ class QuickDiagnose:
         estimate = _with_scale(estimate, self.settings)
         numbers = estimate.numbers(simulator, self.settings.certain)
         unknown = [number.label for number in numbers if number.unknown]
-        causes = [] if faults else self._causes(numbers, estimate)
+        causes = self._causes(numbers, estimate)
         still = still_sentences(problem)
         warnings = [*problem.warnings, *still, *_warnings(simulator, estimate, bool(causes))]
         if free and GAIN not in estimate.solution.chosen:
@@ -169,6 +172,11 @@ class QuickDiagnose:
                 "too little is held out for smoothing: the forces are those of the fitted data."
             )
         forces = self._forces(problem, equation, estimate, bool(causes))
+        if faults and not (causes and _explain_as_much(forces, faults, self.settings.alike)):
+            causes = []
+            forces = self._forces(problem, equation, estimate, found=False)
+        else:
+            faults = ()
         extended = _extended(problem, estimate) if causes else problem
         by_smoothing = self._left_by_smoothing(extended, checked, estimate, forces)
         if by_smoothing:
@@ -239,8 +247,8 @@ class QuickDiagnose:
         before = np.where(equation.used, fitter.residuals(nothing), np.nan)
         if not found:
             # By how much the model's own physics step acts early is nothing that it lacks.
-            own = estimate.fitter
-            after = replace(nothing, delay=own.refined(own.start(())).delay)
+            alone = estimate.fitter.refined(estimate.fitter.start(()))
+            after = replace(nothing, delay=alone.delay)
         left = np.where(equation.used, fitter.residuals(after), np.nan)
         force = root_mean_square(fitter.forces(solution.delay))
         own = joints(simulator.model)
@@ -874,6 +882,23 @@ def _warnings(simulator: RobotSimulator, estimate: Missing, causes: bool) -> lis
                 "are too small."
             )
     return found
+
+
+def _explain_as_much(
+    forces: tuple[JointForces, ...], faults: tuple[WiringFault, ...], alike: float
+) -> bool:
+    """Whether numbers that are missing explain as much as columns that are read otherwise.
+
+    A payload, of which readings know nothing but its weight, may look like another sign or unit.
+    """
+    by_name = {joint.joint: joint for joint in forces}
+    for fault in faults:
+        if fault.evidence is None:
+            return False
+        named = [by_name[name] for name in fault.target.split(", ") if name in by_name]
+        if any(joint.after > alike * fault.evidence.after * joint.drive for joint in named):
+            return False
+    return True
 
 
 def _fitter(simulator: RobotSimulator, equation: Equation, settings: QuickSettings) -> Fitter:

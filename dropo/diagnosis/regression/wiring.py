@@ -387,7 +387,13 @@ class _WiringSearch:
     def _of_units(self, reading: Reading, bad: Sequence[int]) -> Iterator[Change]:
         """Changes of angles' units, of all that are of a kind and of single ones."""
         fits = self.readings.fits(reading)
-        bad = [dof for dof in bad if _left(fits[dof]) > self.settings.strange**2]
+        strange = self.settings.strange**2
+        # Motion that is called tiny has no gravity that changes, and so none that is off.
+        bad = [
+            dof
+            for dof in bad
+            if _left(fits[dof]) > strange and self.readings.left_loaded(dof) > strange
+        ]
         kinds = {joint.qvel: joint.kind for joint in self.readings.joints}
         for kind, units in UNITS.items():
             alike = tuple(dof for dof, own in kinds.items() if own == kind)
