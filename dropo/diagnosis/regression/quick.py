@@ -71,6 +71,8 @@ class QuickSettings:
         How well that scale is thought known then, as a standard deviation; every number has it.
     alike : float
         Columns are read otherwise only if numbers that are missing leave so many times the force.
+    idle : float
+        A drive that gives less than this fraction of its force explains no columns' other reading.
     equation : EquationSettings
         How a log becomes an equation.
     fit : FitSettings
@@ -93,6 +95,7 @@ class QuickSettings:
     same: float = 0.9999
     scale: float = 0.2
     alike: float = 2.0
+    idle: float = 1 / 3
     equation: EquationSettings = field(default_factory=EquationSettings)
     fit: FitSettings = field(default_factory=FitSettings)
     choice: ChoiceSettings = field(default_factory=ChoiceSettings)
@@ -172,7 +175,7 @@ class QuickDiagnose:
                 "too little is held out for smoothing: the forces are those of the fitted data."
             )
         forces = self._forces(problem, equation, estimate, bool(causes))
-        if faults and not (causes and _explain_as_much(forces, faults, self.settings.alike)):
+        if faults and not self._explain_as_much(causes, forces, faults):
             causes = []
             forces = self._forces(problem, equation, estimate, found=False)
         else:
@@ -265,6 +268,30 @@ class QuickDiagnose:
             JointForces(joint.name, joint.force, float(f), float(b), float(a), float(share))
             for joint, f, b, a, share in rows
         )
+
+    def _explain_as_much(
+        self,
+        causes: list[Cause],
+        forces: tuple[JointForces, ...],
+        faults: tuple[WiringFault, ...],
+    ) -> bool:
+        """Whether numbers that are missing explain as much as columns that are read otherwise.
+
+        A payload, of which readings know nothing but its weight, may look like another sign or
+        unit. A drive that would give next to nothing explains nothing: turned, it is fitted so.
+        """
+        gains = [one.estimate["gain"].value for one in causes if one.effect == "actuator_gain"]
+        if not causes or any(1 + gain < self.settings.idle for gain in gains):
+            return False
+        by_name = {joint.joint: joint for joint in forces}
+        for fault in faults:
+            if fault.evidence is None:
+                return False
+            most = self.settings.alike * fault.evidence.after
+            named = [by_name[name] for name in fault.target.split(", ") if name in by_name]
+            if any(joint.after > most * joint.drive for joint in named):
+                return False
+        return True
 
     def _is_left(self, joint: JointForces, floor: float = 0.0) -> bool:
         """Whether force remains to be explained at a joint, beside what is left in any case."""
@@ -882,23 +909,6 @@ def _warnings(simulator: RobotSimulator, estimate: Missing, causes: bool) -> lis
                 "are too small."
             )
     return found
-
-
-def _explain_as_much(
-    forces: tuple[JointForces, ...], faults: tuple[WiringFault, ...], alike: float
-) -> bool:
-    """Whether numbers that are missing explain as much as columns that are read otherwise.
-
-    A payload, of which readings know nothing but its weight, may look like another sign or unit.
-    """
-    by_name = {joint.joint: joint for joint in forces}
-    for fault in faults:
-        if fault.evidence is None:
-            return False
-        named = [by_name[name] for name in fault.target.split(", ") if name in by_name]
-        if any(joint.after > alike * fault.evidence.after * joint.drive for joint in named):
-            return False
-    return True
 
 
 def _fitter(simulator: RobotSimulator, equation: Equation, settings: QuickSettings) -> Fitter:
