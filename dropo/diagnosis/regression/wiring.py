@@ -232,11 +232,11 @@ def wiring_of(problem: Problem, settings: WiringSettings = SETTINGS) -> Wiring:
         following = _following(followers, settings) | {
             dof for dof in readings.evaluated if readings.follows_speed(dof) > settings.closely
         }
-        search = _WiringSearch(readings, settings, following)
-        found = search.run()
         opposed = _opposed(followers, settings) + [
             dof for dof in readings.evaluated if readings.follows_speed(dof) < -settings.closely
         ]
+        search = _WiringSearch(readings, settings, following, frozenset(opposed))
+        found = search.run()
         return found if found.faults else search.of_opposed(opposed)
     try:
         return Wiring(faults_of_followers(robot_of(problem), problem.trajectories, settings))
@@ -267,12 +267,14 @@ class _WiringSearch:
     """A search for the changes that explain the forces, one after another.
 
     following: the degrees of freedom of servos whose joints follow their own commands closely. Not
-    one of both columns alone can be wrong there, however far off the servo's gain is.
+    one of both columns alone can be wrong there, however far off the servo's gain is. opposed:
+    those of joints that move against them as closely, which a logged torque would not make them do.
     """
 
     readings: Readings
     settings: WiringSettings
     following: frozenset[int] = frozenset()
+    opposed: frozenset[int] = frozenset()
 
     def run(self) -> Wiring:
         """The changes that are confirmed on data held out."""
@@ -451,7 +453,9 @@ class _WiringSearch:
         found = []
         for dof, fit in self.readings.fits(reading).items():
             factor = self.readings.command_factor(reading, dof)
-            if factor is None or factor < settings.torques or dof in self.following:
+            if factor is None or factor < settings.torques:
+                continue
+            if dof in self.following | self.opposed:
                 continue
             change = Change("torque_command", "command", (dof,))
             other = change.applied(reading, self.readings.actuators_at)
