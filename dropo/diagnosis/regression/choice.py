@@ -19,6 +19,8 @@ from dropo.diagnosis.regression.terms import INERTIA, INERTIAL, LAWS, OWN_GAIN, 
 from dropo.diagnosis.search.confirmation import signed_rank_score
 
 Group = tuple[int, ...]
+PAYLOAD_NUMBERS = 4
+"""Of a payload: its mass and its place."""
 
 
 @dataclass(frozen=True)
@@ -120,6 +122,10 @@ class Chooser:
         own = families.pop(OWN_GAIN, ())
         families.pop(INERTIA, ())
         found = self._by_gains(families, own)
+        for few in self._few(families, own):
+            scaled = GAIN in found.chosen and self._has_weight_and_laws(few)
+            if not scaled and not self._is_payload(few) and self._is_simpler(found, few):
+                found = few
         if not self._beside_laws(found):
             return found
         body = self._of_one_body(families, [i for i in found.terms if i in own])
@@ -146,6 +152,67 @@ class Chooser:
         first = self._first(tuple(i for group in groups for i in group))
         return self._selected(first, families, groups)
 
+    def _few(self, families: dict[str, Group], own: Group) -> list[Solution]:
+        """What is chosen from nothing on, one thing after another: where little is missing.
+
+        Also from the inertial numbers of the body that explains most: one of them alone may explain
+        less than what merely acts like it.
+        """
+        begun = self._begun(())
+        groups = [*self._candidates(families), *((i,) for i in own)]
+        bodies = [self.fitter.refined(replace(begun, chosen=one)) for one in self._of_bodies()]
+        starts = [begun, *sorted(bodies, key=self.fitter.badness)[:1]]
+        return [self._one_by_one(start, groups) for start in starts]
+
+    def _one_by_one(self, solution: Solution, groups: list[Group]) -> Solution:
+        """The solution with one more thing as long as it explains data held out."""
+        solution = self.without_needless(solution, self._one_each(solution))
+        for _ in range(self.settings.rounds):
+            larger = self.with_more(solution, groups, rounds=1)
+            loaded = self._with_payload(solution)
+            if loaded is not None and self.fitter.badness(loaded) < self.fitter.badness(larger):
+                larger = loaded
+            if larger is solution:
+                break
+            solution = larger
+        return self.certain(self.without_needless(solution, self._one_each(solution)))
+
+    def _with_payload(self, solution: Solution) -> Solution | None:
+        """The solution with the payload that leaves least; None where it has one, or none helps."""
+        fitter = self.fitter
+        if solution.payload is not None or self._has_inertia(solution):
+            return None
+        best: Solution | None = None
+        least = fitter.badness(solution) - self.settings.payload * float(fitter.equation.used.sum())
+        for body in range(len(fitter.equation.by_inertia)):
+            loaded = fitter.refined(fitter.solve(fitter.loaded(solution, (body,))))
+            if loaded.payload is None or loaded.payload.mass > fitter.heaviest:
+                continue
+            if fitter.badness(loaded) < least:
+                best = loaded
+                least = fitter.badness(loaded)
+        return best
+
+    def _has_weight_and_laws(self, solution: Solution) -> bool:
+        """Whether a payload or a body's numbers share the scale of all forces with laws.
+
+        Where a gain is free beside such, its error is that of all of them.
+        """
+        laws = any(self.fitter.terms[i].family in LAWS for i in solution.terms)
+        return laws and (solution.payload is not None or self._has_inertia(solution))
+
+    def _has_inertia(self, solution: Solution) -> bool:
+        """Whether a body's inertial numbers are among the terms."""
+        return any(self.fitter.terms[i].family in INERTIAL for i in solution.terms)
+
+    def _of_bodies(self) -> list[Group]:
+        """The inertial numbers of each body."""
+        bodies: dict[str | None, Group] = {}
+        for i, term in enumerate(self.fitter.terms):
+            if term.family in INERTIAL:
+                bodies[term.target] = (*bodies.get(term.target, ()), i)
+        return list(bodies.values())
+
     def _of_one_body(self, families: dict[str, Group], weak: Iterable[int]) -> Solution | None:
         """What is chosen where the mass, its centre and the inertia of one body may be wrong.
 
@@ -155,12 +222,9 @@ class Chooser:
         fitter = self.fitter
         groups = [families[name] for name in LAWS if name in families] + [(i,) for i in weak]
         begun = self._begun(tuple(i for group in groups for i in group))
-        bodies: dict[str | None, Group] = {}
-        for i, term in enumerate(fitter.terms):
-            if term.family in INERTIAL:
-                bodies[term.target] = (*bodies.get(term.target, ()), i)
         loaded = [
-            fitter.refined(replace(begun, chosen=(*begun.chosen, *own))) for own in bodies.values()
+            fitter.refined(replace(begun, chosen=(*begun.chosen, *own)))
+            for own in self._of_bodies()
         ]
         if not loaded:
             return None
@@ -193,12 +257,24 @@ class Chooser:
             if self.fitter.terms[i].family == "mass"
         )
 
-    def _is_simpler(self, found: Solution, body: Solution) -> bool:
-        """Whether a body's inertial numbers explain as much in fewer things, or more in as many."""
-        if self._is_large(body, found.spread):
+    def _is_simpler(self, found: Solution, other: Solution) -> bool:
+        """Whether another solution explains as much in fewer things, or more in as many.
+
+        Of as many things the likelier one is chosen, with a price for each of its numbers.
+        """
+        if self._is_large(other, found.spread):
             return False
-        fewer = self._candidates_in(found) - self._candidates_in(body)
-        return fewer > 0 or (fewer == 0 and self._is_large(found, body.spread))
+        fewer = self._candidates_in(found) - self._candidates_in(other)
+        if fewer:
+            return fewer > 0
+        better = self._criterion(other) < self._criterion(found)
+        return self._is_large(found, other.spread) or better
+
+    def _criterion(self, solution: Solution) -> float:
+        """Schwarz's criterion [nats]: the less, the better."""
+        count = len(solution.chosen) + (0 if solution.payload is None else PAYLOAD_NUMBERS)
+        rows = max(float(self.fitter.equation.used.sum()), 1.0)
+        return self.fitter.badness(solution) + 0.5 * float(np.log(rows)) * count
 
     def _selected(
         self, solution: Solution, families: dict[str, Group], groups: list[Group]
@@ -236,10 +312,10 @@ class Chooser:
         return bool(np.any(explained > (self.settings.apart * forces) ** 2))
 
     def of_laws(self, solution: Solution) -> set[int]:
-        """Find the chosen terms of a law that several joints have.
+        """Find the chosen terms of a law that several joints have, and inertia beside a mass.
 
         They stay free together, even where one of them is small by itself: left out, it would be
-        made up for by the others.
+        made up for by the others. A body of another mass has another inertia, too.
 
         Parameters
         ----------
@@ -256,7 +332,27 @@ class Chooser:
         for name, places in families.items():
             if name in LAWS and len(places) > 1:
                 found |= {solution.terms[place] for place in places}
-        return found
+        return found | self._beside_masses(solution)
+
+    def _beside_masses(self, solution: Solution) -> set[int]:
+        """The inertia of the bodies whose mass is among the terms, too."""
+        terms = self.fitter.terms
+        heavy = {terms[i].target for i in solution.terms if terms[i].family == "mass"}
+        return {
+            i for i in solution.terms if terms[i].family == INERTIA and terms[i].target in heavy
+        }
+
+    def _one_each(self, solution: Solution) -> list[Group]:
+        """The chosen terms, each by itself; a mass with the inertia beside it."""
+        terms = self.fitter.terms
+        beside = self._beside_masses(solution)
+        groups: list[Group] = []
+        for i in solution.chosen:
+            if i in beside:
+                continue
+            own = [k for k in beside if i != GAIN and terms[i].family == "mass"]
+            groups.append((i, *(k for k in own if terms[k].target == terms[i].target)))
+        return groups
 
     def _first(self, chosen: Group) -> Solution:
         """All the common laws with the payload on that body, or none, that leaves least.
@@ -349,7 +445,9 @@ class Chooser:
             return []
         return [(_worth(errors, present)[0], without)]
 
-    def with_more(self, solution: Solution, groups: Sequence[Group]) -> Solution:
+    def with_more(
+        self, solution: Solution, groups: Sequence[Group], *, rounds: int | None = None
+    ) -> Solution:
         """Add the groups that data held out ask for, the one that helps most first.
 
         A group is left out where it would free the scale of all masses a second time.
@@ -360,13 +458,15 @@ class Chooser:
             The numbers so far.
         groups : sequence of tuple of int
             Indices of the terms that are added together.
+        rounds : int, optional
+            How many at most; by default the settings' number.
 
         Returns
         -------
         Solution
             The numbers with up to `rounds` more groups.
         """
-        for _ in range(self.settings.rounds):
+        for _ in range(self.settings.rounds if rounds is None else rounds):
             tables = self.tables(solution)
             present = self.held_out(solution, tables)
             best: tuple[float, Solution | None] = (0.0, None)

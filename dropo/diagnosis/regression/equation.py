@@ -25,7 +25,7 @@ from dropo.mjmodel.bodies import moving_bodies
 from dropo.mjmodel.dynamics.body_regressors import inverse_dynamics
 from dropo.mjmodel.dynamics.contact_free import projectors
 from dropo.mjmodel.dynamics.forces import LinearDrives, linear_drives
-from dropo.mjmodel.joints import Joint, all_joints, dry_frictions, joints
+from dropo.mjmodel.joints import Joint, all_joints, dry_frictions, joints, numbers_of
 from dropo.mjmodel.options import physics_step
 from dropo.mjmodel.robot_simulator import RobotSimulator
 from dropo.simulators.mujoco.layers import change_commands, clamp
@@ -128,6 +128,8 @@ class Equation:
         The block of time that a row belongs to.
     driven : (nv,) array of bool
         Whether an actuator acts there.
+    inertia : (nv,) array
+        Of each joint as the model has it [kg, kg m^2]; 0 where contact forces are projected out.
     width : float
         Of the first kernel [s].
     """
@@ -146,6 +148,7 @@ class Equation:
     used: NDArray[np.bool_]
     block: Ints
     driven: NDArray[np.bool_]
+    inertia: Array
     width: float
 
     def __len__(self) -> int:
@@ -294,7 +297,11 @@ def equation_of(
     driven = np.zeros(simulator.model.nv, dtype=bool)
     driven[_drives_at_rest(simulator).dofs] = True
     _refuse_nothing(joined["drives"], joined["used"], driven)
-    return Equation(**joined, delays=delays, driven=driven, width=width)
+    inertia = np.zeros(model.nv)
+    if not joined["by_joint"]:
+        for joint in joints(model):
+            inertia[joint.qvel] = numbers_of(model, joint).inertia
+    return Equation(**joined, delays=delays, driven=driven, inertia=inertia, width=width)
 
 
 def _refuse_nothing(drives: Array, used: NDArray[np.bool_], driven: NDArray[np.bool_]) -> None:

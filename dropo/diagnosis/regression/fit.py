@@ -196,7 +196,10 @@ class Fitter:
         return found
 
     def forces(self, delay: float) -> Array:
-        """Give the drives' forces, or where there is no drive what the motion needs.
+        """Give the drives' forces, or where there is no drive those that act there.
+
+        Without a drive, what the motion needs is next to nothing where the model is right: the
+        force that speeds the joint up counts then, which gravity or another joint gives.
 
         Parameters
         ----------
@@ -208,8 +211,12 @@ class Fitter:
         (R, nv) array
             Forces [N, N m]; NaN where a row does not count.
         """
-        there = np.where(self.equation.driven, self.drives(delay), self.equation.needed)
-        return np.where(self.equation.used, there, np.nan)
+        equation = self.equation
+        passive = np.maximum(
+            np.abs(equation.needed), np.abs(equation.inertia * equation.acceleration)
+        )
+        there = np.where(equation.driven, self.drives(delay), passive)
+        return np.where(equation.used, there, np.nan)
 
     @property
     def own_delay(self) -> float:

@@ -33,7 +33,7 @@ from dropo.diagnosis.regression.equation import Equation, EquationSettings, equa
 from dropo.diagnosis.regression.fit import GAIN, FitSettings, Fitter, Solution, root_mean_square
 from dropo.diagnosis.regression.readings import sides
 from dropo.diagnosis.regression.resimulation import ResimulationSettings, resimulated
-from dropo.diagnosis.regression.result import JointForces, QuickDiagnosis
+from dropo.diagnosis.regression.result import JointForces, QuickDiagnosis, WiringFault
 from dropo.diagnosis.regression.terms import Term, terms_of
 from dropo.diagnosis.regression.wiring import wiring_faults
 from dropo.diagnosis.search.library import robot_of
@@ -76,6 +76,10 @@ class QuickSettings:
         forces is not told then.
     scale : float
         How well that scale is thought known then, as a standard deviation; every number has it.
+    alike : float
+        Columns are read otherwise only if numbers that are missing leave so many times the force.
+    idle : float
+        A drive that gives less than this fraction of its force explains no columns' other reading.
     equation : EquationSettings
         How a log becomes an equation.
     fit : FitSettings
@@ -99,6 +103,8 @@ class QuickSettings:
     similarity: float = 0.98
     same: float = 0.9999
     scale: float = 0.2
+    alike: float = 2.0
+    idle: float = 1 / 3
     equation: EquationSettings = field(default_factory=EquationSettings)
     fit: FitSettings = field(default_factory=FitSettings)
     choice: ChoiceSettings = field(default_factory=ChoiceSettings)
@@ -158,9 +164,9 @@ class QuickDiagnose:
         estimate = _with_scale(estimate, self.settings)
         numbers = estimate.numbers(simulator, self.settings.certain)
         unknown = [number.label for number in numbers if number.unknown]
-        causes = [] if faults else self._causes(numbers, estimate)
+        causes = self._causes(numbers, estimate)
         still = still_sentences(problem)
-        warnings = [*problem.warnings, *still, *_warnings(simulator, estimate)]
+        warnings = [*problem.warnings, *still, *_warnings(simulator, estimate, bool(causes))]
         if free and GAIN not in estimate.solution.chosen:
             warnings.append(
                 "No motion tells the scale of all forces: the drives' gain is taken as it is."
@@ -180,6 +186,11 @@ class QuickDiagnose:
                 "too little is held out for smoothing: the forces are those of the fitted data."
             )
         forces = self._forces(problem, equation, estimate, bool(causes))
+        if faults and not self._explain_as_much(causes, forces, faults):
+            causes = []
+            forces = self._forces(problem, equation, estimate, found=False)
+        else:
+            faults = ()
         extended = _extended(problem, estimate) if causes else problem
         friction = None
         if not (faults or unknown):
@@ -189,9 +200,15 @@ class QuickDiagnose:
         if friction is not None:
             causes.append(_cause_of(friction))
             extended = _with_friction(extended, friction)
+        by_smoothing = self._left_by_smoothing(extended, checked, estimate, forces)
+        if by_smoothing:
+            warnings.append(
+                f"At {', '.join(map(repr, by_smoothing))} a motion simulated by the model leaves "
+                "as much force: rows so far apart do not show what drives so stiff do between them."
+            )
         return QuickDiagnosis(
             name=problem.name,
-            verdict=self._verdict(causes, forces, bool(faults or unknown)),
+            verdict=self._verdict(causes, forces, by_smoothing, bool(faults or unknown)),
             causes=tuple(causes),
             faults=faults,
             forces=forces,
@@ -263,7 +280,8 @@ class QuickDiagnose:
         before = np.where(equation.used, fitter.residuals(nothing), np.nan)
         if not found:
             # By how much the model's own physics step acts early is nothing that it lacks.
-            after = replace(nothing, delay=solution.delay)
+            alone = estimate.fitter.refined(estimate.fitter.start(()))
+            after = replace(nothing, delay=alone.delay)
         left = np.where(equation.used, fitter.residuals(after), np.nan)
         force = root_mean_square(fitter.forces(solution.delay))
         own = joints(simulator.model)
@@ -281,13 +299,83 @@ class QuickDiagnose:
             for joint, f, b, a, share in rows
         )
 
-    def _verdict(self, causes: list[Cause], forces: tuple[JointForces, ...], faulty: bool) -> str:
+    def _explain_as_much(
+        self,
+        causes: list[Cause],
+        forces: tuple[JointForces, ...],
+        faults: tuple[WiringFault, ...],
+    ) -> bool:
+        """Whether numbers that are missing explain as much as columns that are read otherwise.
+
+        A payload, of which readings know nothing but its weight, may look like another sign or
+        unit. A drive that would give next to nothing explains nothing: turned, it is fitted so.
+        """
+        gains = [one.estimate["gain"].value for one in causes if one.effect == "actuator_gain"]
+        if not causes or any(1 + gain < self.settings.idle for gain in gains):
+            return False
+        by_name = {joint.joint: joint for joint in forces}
+        for fault in faults:
+            if fault.evidence is None:
+                return False
+            most = self.settings.alike * fault.evidence.after
+            named = [by_name[name] for name in fault.target.split(", ") if name in by_name]
+            if any(joint.after > most * joint.drive for joint in named):
+                return False
+        return True
+
+    def _is_left(self, joint: JointForces, floor: float = 0.0) -> bool:
+        """Whether force remains to be explained at a joint, beside what is left in any case."""
+        return joint.after**2 - floor**2 > (self.settings.explained * joint.drive) ** 2
+
+    def _left_by_smoothing(
+        self,
+        extended: Problem,
+        checked: Trajectories,
+        estimate: "Missing",
+        forces: tuple[JointForces, ...],
+    ) -> tuple[str, ...]:
+        """The joints whose force is left by what smoothing does to the log, not by the machine.
+
+        The same is left where the truth is known: in motions that are simulated.
+        """
+        doubtful = [joint for joint in forces if self._is_left(joint)]
+        floating = estimate.fitter.equation.by_joint
+        again = None
+        if doubtful and not floating:
+            simulator = robot_of(extended)
+            again = resimulated(simulator, checked, self.settings.resimulation)
+        if again is None:
+            return ()
+        try:
+            equation = equation_of(
+                extended, again, self.settings.equation, width=estimate.fitter.equation.width
+            )
+        except BadArgument:
+            return ()
+        fitter = _fitter(simulator, equation, self.settings)
+        left = np.where(equation.used, fitter.residuals(fitter.refined(fitter.start(()))), np.nan)
+        floor = root_mean_square(left)
+        places = {joint.name: joint.qvel for joint in joints(simulator.model)}
+        return tuple(
+            joint.joint
+            for joint in doubtful
+            if not self._is_left(joint, float(floor[places[joint.joint]]))
+        )
+
+    def _verdict(
+        self,
+        causes: list[Cause],
+        forces: tuple[JointForces, ...],
+        by_smoothing: tuple[str, ...],
+        faulty: bool,
+    ) -> str:
         """The finding in a word, by the forces that are left on data held out.
 
-        faulty: the wiring is wrong, or what explains a large force is not known.
+        by_smoothing: joints where these are not the machine's; faulty: the wiring is wrong, or what
+        explains a large force is not known.
         """
-        limit = self.settings.explained
-        wrong = faulty or any(joint.after > limit * joint.drive for joint in forces)
+        left = [joint for joint in forces if joint.joint not in by_smoothing]
+        wrong = faulty or any(map(self._is_left, left))
         if causes:
             return "partly" if wrong else "explained"
         return "unexplained" if wrong else "consistent"
@@ -850,10 +938,10 @@ def _magnitudes(instance: EffectInstance, estimate: Mapping[str, Estimate]) -> A
     return np.array([estimate[name].value if name in estimate else 0.0 for name in names])
 
 
-def _warnings(simulator: RobotSimulator, estimate: Missing) -> list[str]:
-    """What makes the numbers less certain than their errors say, a sentence each."""
+def _warnings(simulator: RobotSimulator, estimate: Missing, causes: bool) -> list[str]:
+    """What makes the numbers, if there are causes, less certain than their errors say."""
     found = []
-    for i in estimate.solution.terms:
+    for i in estimate.solution.terms if causes else ():
         term = estimate.fitter.terms[i]
         if term.lowest < 0 and estimate.at_bound(i):
             found.append(

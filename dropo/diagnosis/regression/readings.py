@@ -28,12 +28,16 @@ from dropo.diagnosis.regression.equation import _first_width as first_width
 from dropo.diagnosis.regression.equation import _stretches as stretches_of
 from dropo.diagnosis.regression.kernels import REACH, apply_kernel, derivative_kernels, held_kernel
 from dropo.diagnosis.search.library import robot_of
-from dropo.mjmodel.dynamics.body_regressors import rigid_forces
+from dropo.mjmodel.dynamics.body_regressors import inverse_dynamics, rigid_forces
 from dropo.mjmodel.dynamics.forces import linear_drives
 from dropo.mjmodel.joints import Joint, joints, numbers_of
 
 MOVES = 1e-9
 """A joint whose positions spread by less rests [rad, m]."""
+FIRST_MOMENTS = slice(1, 4)
+"""Of a body's inertial numbers, those that its weight depends on beside its mass."""
+ALONG = 1e-6
+"""A pull of which less than this fraction is not along the speed goes with the speed alone."""
 Stretch = tuple[int, int, int]
 """A run, its first row, and the row behind the last."""
 
@@ -282,6 +286,68 @@ class Readings:
         """
         return bool(np.any(self._motion(self.plain).bias[:, dof]))
 
+    def left_loaded(self, dof: int) -> float:
+        """Return what is left of a joint's forces where its body is heavier at any side.
+
+        Parameters
+        ----------
+        dof : int
+            The degree of freedom.
+
+        Returns
+        -------
+        float
+            The squared force that is left of the rows held out, as a fraction, as in `JointFit`.
+        """
+        body = self._joint(dof).body
+        kernels = derivative_kernels(self.width, self.parts[0][0].step)
+        made = []
+        for log, stretch in self.parts:
+            run, start, stop = stretch
+            position, velocity, _ = log.motion(kernels, log.positions[run][start:stop])
+            still = np.zeros_like(velocity)
+            (load,) = inverse_dynamics(self.model, position, still, still, [body]).by_inertia
+            made.append(self._thinned(stretch, load[:, dof, FIRST_MOMENTS]))
+        loads = np.concatenate(made)
+        beside = [*loads.T, *-loads.T]
+        motion = self._motion(self.plain)
+        back = motion.bias[:, dof]
+        tried = []
+        for delay in self.settings.delays:
+            drive = self._drive(self.plain, motion, dof, delay) + back
+            tried.append((*self._solved(motion, dof, [drive, *beside]), drive))
+        _, sizes, drive = min(tried, key=lambda one: one[0])
+        return self._held_out(motion, dof, sizes, drive, beside).left
+
+    def follows_speed(self, dof: int) -> float:
+        """Say how closely a joint moves at the speed that its drive is told.
+
+        Parameters
+        ----------
+        dof : int
+            A degree of freedom.
+
+        Returns
+        -------
+        float
+            The correlation of speed and command; 0 where the drive takes no speeds.
+        """
+        motion = self._motion(self.plain)
+        if not self._brakes(motion, dof):
+            return 0.0
+        told = self._drive(self.plain, motion, dof, 0.0)
+        back = -motion.bias[:, dof]
+        if not (np.ptp(told) > 0 and np.ptp(back) > 0):
+            return 0.0
+        return float(np.corrcoef(told, back)[0, 1])
+
+    def _brakes(self, motion: _SmoothedMotion, dof: int) -> bool:
+        """Whether a drive pulls against the speed alone, as viscous friction does."""
+        back, speed = motion.bias[:, dof], motion.velocity[:, dof]
+        beside = back - back @ speed / max(float(speed @ speed), 1e-300) * speed
+        size = float(np.linalg.norm(back))
+        return size > 0 and float(np.linalg.norm(beside)) <= ALONG * size
+
     def command_factor(self, reading: Reading, dof: int) -> float | None:
         """Fit the unit of a servo's command beside its pull back.
 
@@ -299,7 +365,8 @@ class Readings:
             None where there is no servo, or nothing follows the command.
         """
         motion = self._motion(reading)
-        if not np.any(motion.bias[:, dof]):
+        # Of viscous friction, and so of a pull against the speed alone, any size is fitted.
+        if not np.any(motion.bias[:, dof]) or self._brakes(motion, dof):
             return None
         found = []
         for delay in self.settings.delays:
@@ -420,10 +487,17 @@ class Readings:
             self._fits[key] = self._held_out(motion, dof, sizes, drive)
         return self._fits[key]
 
-    def _held_out(self, motion: _SmoothedMotion, dof: int, sizes: Array, drive: Array) -> JointFit:
-        """How well numbers that were fitted explain the rows held out."""
+    def _held_out(
+        self,
+        motion: _SmoothedMotion,
+        dof: int,
+        sizes: Array,
+        drive: Array,
+        beside: Sequence[Array] = (),
+    ) -> JointFit:
+        """How well numbers that were fitted explain the rows held out; beside: more columns."""
         rows = self.held & motion.moves[:, dof]
-        columns, target = self._columns(motion, dof, [drive])
+        columns, target = self._columns(motion, dof, [drive, *beside])
         error = (target - columns @ sizes)[rows] ** 2
         needed = (motion.moving + motion.holding)[rows, dof]
         given = float(sizes[0]) * drive[rows]

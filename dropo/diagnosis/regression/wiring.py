@@ -229,10 +229,15 @@ def wiring_of(problem: Problem, settings: WiringSettings = SETTINGS) -> Wiring:
         pass
     else:
         followers = _followers(robot_of(problem), problem.trajectories, settings)
-        following = _following(followers, settings)
-        search = _WiringSearch(readings, settings, following)
+        following = _following(followers, settings) | {
+            dof for dof in readings.evaluated if readings.follows_speed(dof) > settings.closely
+        }
+        opposed = _opposed(followers, settings) + [
+            dof for dof in readings.evaluated if readings.follows_speed(dof) < -settings.closely
+        ]
+        search = _WiringSearch(readings, settings, following, frozenset(opposed))
         found = search.run()
-        return found if found.faults else search.of_opposed(_opposed(followers, settings))
+        return found if found.faults else search.of_opposed(opposed)
     try:
         return Wiring(faults_of_followers(robot_of(problem), problem.trajectories, settings))
     except (Incompatible, BadArgument):
@@ -262,12 +267,14 @@ class _WiringSearch:
     """A search for the changes that explain the forces, one after another.
 
     following: the degrees of freedom of servos whose joints follow their own commands closely. Not
-    one of both columns alone can be wrong there, however far off the servo's gain is.
+    one of both columns alone can be wrong there, however far off the servo's gain is. opposed:
+    those of joints that move against them as closely, which a logged torque would not make them do.
     """
 
     readings: Readings
     settings: WiringSettings
     following: frozenset[int] = frozenset()
+    opposed: frozenset[int] = frozenset()
 
     def run(self) -> Wiring:
         """The changes that are confirmed on data held out."""
@@ -331,7 +338,7 @@ class _WiringSearch:
         # Both signs of one joint turn its own forces around, as a load on its other side does.
         turned = {change.dofs for change in changes if change.kind == "sign"}
         # An exchange of angles is half explained by one of commands: the two are compared.
-        wires = chain(self._of_commands(reading, bad), self._of_angles(reading, bad))
+        wires = chain(self._of_commands(reading, bad), self._of_angles(reading, bad, list(now)))
         for stage in (wires, self._of_units(reading, bad)):
             for change in stage:
                 if change.kind == "sign" and change.dofs in turned:
@@ -364,18 +371,31 @@ class _WiringSearch:
             if all(len(actuators[dof]) == 1 for dof in pair):
                 yield Change("exchange", "command", pair)
 
-    def _of_angles(self, reading: Reading, bad: Sequence[int]) -> Iterator[Change]:
-        """Changes of angles, and of the units of all of them."""
+    def _of_angles(
+        self, reading: Reading, bad: Sequence[int], every: Sequence[int]
+    ) -> Iterator[Change]:
+        """Changes of angles: of joints' signs, and exchanges.
+
+        A joint that turns the wrong way may be explained itself, and not those that carry it, whose
+        inertia it changes: the signs of all are tried.
+        """
         bad = [dof for dof in bad if dof not in self.following]
-        for dof in bad:
-            yield Change("sign", "angle", (dof,))
+        for dof in every:
+            if dof not in self.following:
+                yield Change("sign", "angle", (dof,))
         for pair in combinations(bad, 2):
             yield Change("exchange", "angle", pair)
 
     def _of_units(self, reading: Reading, bad: Sequence[int]) -> Iterator[Change]:
         """Changes of angles' units, of all that are of a kind and of single ones."""
         fits = self.readings.fits(reading)
-        bad = [dof for dof in bad if _left(fits[dof]) > self.settings.strange**2]
+        strange = self.settings.strange**2
+        # Motion that is called tiny has no gravity that changes, and so none that is off.
+        bad = [
+            dof
+            for dof in bad
+            if _left(fits[dof]) > strange and self.readings.left_loaded(dof) > strange
+        ]
         kinds = {joint.qvel: joint.kind for joint in self.readings.joints}
         for kind, units in UNITS.items():
             alike = tuple(dof for dof, own in kinds.items() if own == kind)
@@ -433,7 +453,9 @@ class _WiringSearch:
         found = []
         for dof, fit in self.readings.fits(reading).items():
             factor = self.readings.command_factor(reading, dof)
-            if factor is None or factor < settings.torques or dof in self.following:
+            if factor is None or factor < settings.torques:
+                continue
+            if dof in self.following | self.opposed:
                 continue
             change = Change("torque_command", "command", (dof,))
             other = change.applied(reading, self.readings.actuators_at)

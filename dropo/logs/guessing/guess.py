@@ -53,6 +53,11 @@ UNKNOWN = "nothing says otherwise"
 FOLLOWS_OTHERWISE = 0.9
 """The same of either sign and with any joint, where the model's servos take positions: a sign may
 be wrong, or two columns exchanged."""
+MOVES = 0.4
+"""Correlation with the speeds from which on commands of unknown kind are commanded speeds, where
+the model's actuators take these."""
+SPANS = 1000
+"""The parts of a log over which speeds are means: an encoder's steps do not hide them."""
 
 
 @dataclass(frozen=True)
@@ -675,6 +680,8 @@ class _Guesser:
         same.
         """
         wanted = self._kind_wanted()
+        if wanted and all(self._given_entry("ctrl", name).get("column") for name in found):
+            return wanted
         alike = []
         pairs = []
         nearest = []
@@ -690,6 +697,8 @@ class _Guesser:
         together = float(np.corrcoef(*np.concatenate(pairs, axis=1))[0, 1])
         if max(float(np.median(alike)), together) > FOLLOWS[wanted]:
             return words.POSITION
+        if wanted == words.VELOCITY and float(np.median([*map(_likeness_of_speed, pairs)])) > MOVES:
+            return words.VELOCITY
         is_turned = wanted == words.POSITION and float(np.median(nearest)) > FOLLOWS_OTHERWISE
         return words.POSITION if is_turned else words.EFFORT
 
@@ -825,6 +834,17 @@ class _Guesser:
             self.guess.lines.append(f"not used: {quote(left)}")
         if not self.guess.mapping.get("ctrl"):
             self.guess.mapping.pop("ctrl", None)
+
+
+def _likeness_of_speed(pair: Array) -> float:
+    """The correlation of commands with a joint's speed, both as means over short spans."""
+    span = max(1, pair.shape[1] // SPANS)
+    commands = np.convolve(pair[0], np.ones(span) / span, mode="valid")[:-1]
+    moved = pair[1][span:] - pair[1][:-span]
+    count = min(len(commands), len(moved))
+    if not (np.ptp(commands[:count]) > 0 and np.ptp(moved[:count]) > 0):
+        return 0.0
+    return float(np.corrcoef(commands[:count], moved[:count])[0, 1])
 
 
 def _files_in(given: object, above: str | None = None) -> Iterator[tuple[str, str | None]]:

@@ -69,6 +69,8 @@ class ScaleSettings:
 
 
 DEFAULTS = ScaleSettings()
+BEGINS = 1e-3
+"""The part of a turn within which a first count is 0."""
 _ANGLES = ("rad", "deg", "rev", "tick")
 """Units of angles, and the first word of an encoder's."""
 
@@ -296,10 +298,14 @@ def _ticks(
 
 
 def _counts(values: Sequence[Array], turn: float, why: str) -> Scale:
-    """Counts of an encoder, from its middle where all are above 0."""
+    """Counts of an encoder, from its middle where all are above 0.
+
+    One that counts from where it is switched on begins at 0.
+    """
     above = min(float(one.min()) for one in values) >= 0
-    offset = -turn / 2 if above else 0.0
-    middle = f", 0 at its middle, {turn / 2:g}" if above else ""
+    from_start = all(abs(float(one[0])) <= BEGINS * turn for one in values)
+    offset = -turn / 2 if above and not from_start else 0.0
+    middle = f", 0 at its middle, {turn / 2:g}" if offset else ""
     return Scale(f"tick/{turn:.10g}", why + middle, offset)
 
 
@@ -407,8 +413,8 @@ def command_unit(commands: Array, logged: Array, hint: str | None, position: Sca
     Returns
     -------
     Scale
-        That in which commands and positions are nearest; another than the positions' only where the
-        distance is less than half.
+        That in which commands move as far as positions; another than the positions' only where
+        theirs is off by far more. A joint that follows late is far from its command at each time.
     """
     si, factor = known_unit(position.unit)
     named = unit_named(hint or "")
@@ -416,19 +422,19 @@ def command_unit(commands: Array, logged: Array, hint: str | None, position: Sca
         return Scale(hint, "its name says so")
     if not len(commands):
         return Scale(position.unit, "no row has both", position.offset)
-    measured = factor * (position.sign * logged + position.offset)
-
-    def distance(unit: str) -> float:
-        wanted = known_unit(unit)[1] * commands
-        apart = [wanted - wanted.mean() - sign * (measured - measured.mean()) for sign in (1, -1)]
-        return float(min(np.sqrt(np.mean(one**2)) for one in apart))
-
     best = Scale(position.unit, "the joint follows them", position.offset)
-    nearest = distance(best.unit)
+    told, moved = float(commands.std()), float(factor * logged.std())
+    if not (told > 0 and moved > 0):
+        return best
+
+    def beside(unit: str) -> float:
+        return abs(math.log(known_unit(unit)[1] * told / moved))
+
+    nearest = beside(best.unit)
     for unit in {"rad": ("rad", "deg"), "m": ("m", "cm", "mm")}[si]:
-        if unit != position.unit and distance(unit) < 0.5 * nearest:
+        if beside(unit) < 0.5 * nearest:
             best = Scale(unit, "the joint follows them")
-            nearest = distance(unit)
+            nearest = beside(unit)
     return best
 
 

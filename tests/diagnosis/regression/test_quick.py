@@ -28,7 +28,7 @@ from dropo.studies.first_models.machines import (
 from dropo.studies.first_models.study import diagnosed
 from tests.models.fast_servo import fast_servo_problem
 from tests.models.first_models import problem_with, recorded_machine, unknown_rotor
-from tests.models.furuta import ARMATURE, DAMPING, FRICTION, furuta_problem
+from tests.models.furuta import ARMATURE, DAMPING, FRICTION, XML, furuta_problem
 
 TOLERANCE = 4.0
 """Standard errors that a number may be off by."""
@@ -88,6 +88,21 @@ def test_nothing_is_missing_from_the_right_model():
     answer = diagnosed(["arm, 3 joints", "nothing missing", 13])
     assert answer["false"] == []
     assert answer["verdict"] == "consistent"
+
+
+def test_a_right_model_leaves_no_force_where_no_drive_acts():
+    """A pendulum that swings freely needs none: what is left is small beside what speeds it up."""
+    spec = mujoco.MjSpec.from_string(XML)
+    arm, swing = spec.joints
+    arm.armature = ARMATURE
+    arm.frictionloss = FRICTION
+    arm.damping = [DAMPING[0], 0, 0]
+    swing.damping = [DAMPING[1], 0, 0]
+    simulator = MujocoSimulator(spec, [], frame_skip=5, threads=1)
+    diagnosis = QuickDiagnose().run(replace(furuta_problem(7), simulator=simulator))
+    assert diagnosis.causes == ()
+    assert diagnosis.verdict == "consistent"
+    assert diagnosis.forces[1].before < 0.1 * diagnosis.forces[1].drive
 
 
 def test_what_the_physics_step_makes_is_not_missing():
@@ -178,6 +193,22 @@ def test_a_weak_drive_beside_an_offset_elsewhere():
     assert set(gains) == {"drive2"}
     assert abs(gains["drive2"].value + 0.3) < TOLERANCE * gains["drive2"].se
     assert ("joint_stiffness", "joint1") in by_label(diagnosis)
+
+
+def test_one_weak_motor_is_no_rotor_beside_friction():
+    """About an upright axis a gain is like all the rest by one factor: one number of three."""
+    design = Design(("hinge z", "hinge y"), (0.1, 0.2), (0.5, 0.8), (1.0, 1.5), servos=False)
+    rng = np.random.default_rng(51)
+    machine = replace(random_machine(design, rng), payload=0.0, delay=0.0, gain=0.0)
+    spec = first_model(design)
+    model = built(spec, machine)
+    model.option.timestep = spec.option.timestep
+    weak = built(spec, replace(machine, gain=np.array([-0.2, 0.0])))
+    data = recorded(weak, design.servos, 0.0, rng, runs=1)
+    diagnosis = QuickDiagnose().run(problem_of("pan and tilt", model, data))
+    assert set(by_label(diagnosis)) == {("actuator_gain", "drive0")}
+    gain = gains_of(diagnosis)["drive0"]
+    assert abs(gain.value + 0.2) < TOLERANCE * gain.se
 
 
 def test_two_weak_drives_of_three():

@@ -21,6 +21,14 @@ from dropo.problems.measured.external_data import find_data
 from dropo.problems.panda.sliding import sliding
 from dropo.report.build import write_report
 from dropo.simulators.mujoco.simulator import MujocoSimulator
+from dropo.studies.first_models.machines import (
+    Design,
+    built,
+    first_model,
+    problem_of,
+    random_machine,
+    recorded,
+)
 from tests.models.wiring import (
     DEGREES,
     MACHINES,
@@ -170,6 +178,22 @@ def test_far_off_gains_are_no_fault(name, gain):
 def turned(logs):
     """The diagnosis of an arm one of whose angles has the wrong sign."""
     return diagnose(read_otherwise(logs("arm, 3 joints"), angles=scaled(1, -1)))
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_drive_that_takes_speeds_is_turned_or_right(sign):
+    """Friction is missing: a pull against the speed is no torque command; a turned one shows."""
+    design = Design(("hinge y",), (0.3,), (0.5,), (1.0,), loaded=False)
+    spec = first_model(design)
+    spec.actuators[0].set_to_velocity(1.0)
+    rng = np.random.default_rng(63)
+    machine = random_machine(design, rng)
+    machine = replace(machine, damping=4 * machine.damping, friction=5 * machine.friction)
+    made = built(spec, machine)
+    problem = problem_of("wheel", spec, recorded(made, True, 0.0, rng, runs=1))
+    data = problem.trajectories
+    problem = replace(problem, trajectories=replace(data, actions=sign * data.actions))
+    assert found(problem) == ([] if sign > 0 else [("sign", "joint0")])
 
 
 def test_the_full_diagnosis_ends_there(turned):

@@ -537,6 +537,51 @@ def test_currents_and_commanded_velocities_have_their_units(tmp_path: Path) -> N
     assert units == {"hip_servo": "rad/s", "knee_servo": "deg/s"}
 
 
+def test_late_followers_are_told_in_their_own_unit(tmp_path: Path) -> None:
+    """Angles in counts, and goals in rad that joints follow a quarter of a turn late."""
+    late = {"hip": 0.5 * np.cos(3 * TIME), "knee": 0.4 * np.cos(3 * TIME)}
+    counts = {f"{name} q": np.rint(4096 / np.pi / 2 * one) for name, one in late.items()}
+    goals = {f"{name} cmd": 0.6 * np.sin(3 * TIME) for name in late}
+    given = {"left_hip": {"column": "hip q", "unit": "tick/4096"}}
+    servos = robot(SERVOS)
+    found = guess(
+        tmp_path,
+        {"t": TIME} | counts | goals,
+        servos,
+        given={
+            "qpos": given,
+            "ctrl": {"hip_servo": {"column": "hip cmd"}, "knee_servo": {"column": "knee cmd"}},
+        },
+    )
+    assert {entry["unit"] for entry in found.mapping["ctrl"].values()} == {"rad"}
+
+
+@pytest.mark.parametrize("begins", [0.0, 1900.0])
+def test_counts_that_begin_at_0_have_no_middle(tmp_path: Path, begins: float) -> None:
+    """An encoder that counts from where it is switched on, beside one that knows its place."""
+    counts = np.rint(800 * (1 - np.cos(TIME)))
+    columns = {"t": TIME, "hip q": counts + begins, "knee q": counts + begins}
+    given = {"left_hip": {"column": "hip q", "unit": "tick/4096"}}
+    found = guess(tmp_path, columns, given={"qpos": given})
+    entry = found.mapping["qpos"]["left_hip"]
+    assert entry.get("offset", 0.0) == (-2048.0 if begins else 0.0)
+
+
+def test_commands_without_a_kind_are_speeds_where_joints_follow_so(tmp_path: Path) -> None:
+    """Drives that take speeds: what the joints follow, late; and whatever a mapping says."""
+    wheels = robot(SERVOS.replace("<position", "<velocity").replace('kp="20"', 'kv="2"'))
+    columns = {"t": TIME, "hip q": HIP, "knee q": KNEE}
+    commands = {f"{name} cmd": np.roll(SPEEDS[i], -3) for i, name in enumerate(("hip", "knee"))}
+    found = guess(tmp_path, columns | commands, wheels)
+    assert {entry["unit"] for entry in found.mapping["ctrl"].values()} == {"rad/s"}
+    pushes = {name: np.gradient(values, TIME) for name, values in commands.items()}
+    with pytest.raises(Incompatible, match="take velocity commands, and the log has torque"):
+        guess(tmp_path, columns | pushes, wheels)
+    given = {"hip_servo": {"column": "hip cmd"}, "knee_servo": {"column": "knee cmd"}}
+    found = guess(tmp_path, columns | pushes, wheels, given={"ctrl": given})
+    assert found.mapping["ctrl"]["hip_servo"] == {"column": "hip cmd", "unit": "rad/s"}
+
+
 @pytest.mark.parametrize("stands", [0.0, 0.137])
 def test_a_velocity_that_stands_is_left_out(tmp_path: Path, stands: float) -> None:
     columns = {"t": TIME, "hip q": HIP, "knee q": KNEE, "hip dq": SPEEDS[0]}
