@@ -12,7 +12,8 @@ import resource
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from benchmarks.readme import write_block
 from benchmarks.robots import problem_of
 from dropo.core.contracts.problem import Problem
+from dropo.core.contracts.simulator import Simulator
 from dropo.core.contracts.support.fisher_scoring import maximize_locally
 from dropo.core.services.files.atomic_write import write_json, write_text
 from dropo.core.services.tables import number
@@ -104,10 +106,9 @@ def measured(cell: Cell) -> dict[str, Any]:
     problem = problem_of(parameters, transitions, threads)
     simulator = problem.simulator
     seconds = [0.0]
-    simulator._predict = timed(simulator._predict, seconds)  # type: ignore[method-assign]
     before = simulator.steps
     begun = time.perf_counter()
-    with threadpool_limits(threads, user_api="blas"):
+    with threadpool_limits(threads, user_api="blas"), timed_predictions(simulator, seconds):
         found = (one_round if what == "round" else whole_fit)(problem)
     total = time.perf_counter() - begun
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
@@ -120,17 +121,24 @@ def measured(cell: Cell) -> dict[str, Any]:
     }
 
 
-def timed(function: Callable[..., Any], seconds: list[float]) -> Callable[..., Any]:
-    """The function, its time added up."""
+@contextmanager
+def timed_predictions(simulator: Simulator, seconds: list[float]) -> Iterator[None]:
+    """The time of all predictions added up, those of the simulator's copies too."""
+    kind = type(simulator)
+    predict = kind._predict
 
     def run(*arguments: Any) -> Any:
         begun = time.perf_counter()
         try:
-            return function(*arguments)
+            return predict(*arguments)
         finally:
             seconds[0] += time.perf_counter() - begun
 
-    return run
+    kind._predict = run  # type: ignore[method-assign]
+    try:
+        yield
+    finally:
+        kind._predict = predict  # type: ignore[method-assign]
 
 
 def table(found: dict[str, dict[str, Any]]) -> str:

@@ -15,7 +15,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.cost import timed
+from benchmarks.cost import timed_predictions
 from benchmarks.readme import write_block
 from dropo.core.contracts.problem import Problem
 from dropo.estimators.dropo import DROPO
@@ -72,8 +72,8 @@ def row(table: str, kind: str, transitions: int) -> Row:
     problem, _ = data_set(table, kind, 0, transitions)
     steps, seconds = reference(problem)
     simulation = [0.0]
-    problem.simulator._predict = timed(problem.simulator._predict, simulation)  # type: ignore[method-assign]
-    fit = DROPO().fit(problem, rng=0)
+    with timed_predictions(problem.simulator, simulation):
+        fit = DROPO().fit(problem, rng=0)
     return Row(
         f"table {table}, {kind}",
         fit.simulator_steps,

@@ -136,7 +136,8 @@ def likely_cause(
     segments = problem.segments.take(chosen)
     base = simulator.predict(mean[None], segments)[0]
     rows = np.isin(problem.segments.rows[0], chosen)
-    free = _Free(simulator.targets(segments) - base, jacobian[rows], segments, epsilon, settings)
+    targets = simulator.targets(segments)
+    free = _Free(base, targets, jacobian[rows], segments, epsilon, settings)
     if not free.evident.any():
         return None
 
@@ -181,6 +182,8 @@ def _trials(simulator: RobotSimulator, settings: LikelyCauseSettings) -> list[_T
             if len(instance.quantities) > 1 or (name == "actuator_delay" and instance.target):
                 continue
             quantity = instance.quantities[0]
+            if f"{instance.label}/{quantity.name}" in simulator.space.names:  # it is fitted
+                continue
             if quantity.smooth:
                 probes = quantity.probes[1:2]
                 found += [_Trial(instance, one, quantity.low, quantity.high) for one in probes]
@@ -218,15 +221,17 @@ class _Free:
 
     def __init__(
         self,
-        residual: Array,
+        predicted: Array,
+        targets: Array,
         jacobian: Array,
         segments: Segments,
         epsilon: Array,
         settings: LikelyCauseSettings,
     ):
+        residual = targets - predicted
         self.good = np.asarray(np.isfinite(residual).all(axis=1))
         kept = residual[self.good]
-        self.evident = evident_signals(kept, segments.targets[self.good], epsilon)
+        self.evident = evident_signals(kept, targets[self.good], epsilon)
         scale = np.sqrt(np.mean(kept**2, axis=0))
         self.scale = np.where(self.evident, scale, np.inf)
         cut = np.clip(kept / self.scale, -settings.outlier, settings.outlier)

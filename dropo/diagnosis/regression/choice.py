@@ -19,8 +19,6 @@ from dropo.diagnosis.regression.terms import INERTIA, INERTIAL, LAWS, OWN_GAIN, 
 from dropo.diagnosis.search.confirmation import signed_rank_score
 
 Group = tuple[int, ...]
-PAYLOAD_NUMBERS = 4
-"""Of a payload: its mass and its place."""
 
 
 @dataclass(frozen=True)
@@ -237,7 +235,12 @@ class Chooser:
         laws = [i for i in solution.terms if terms[i].family in LAWS]
         large = {terms[i].family for i in laws if shares[i] > self.settings.apart}
         bodies = {terms[i].target for i in solution.terms if terms[i].family in INERTIAL}
-        return len(large) + len(bodies) + self._beside_laws(solution)
+        late = self._is_late(solution)
+        return len(large) + len(bodies) + self._beside_laws(solution) + int(late)
+
+    def _is_late(self, solution: Solution) -> bool:
+        """Whether commands come later than in the model's simulation, by a physics step or more."""
+        return solution.delay > -self.fitter.own_delay
 
     def _beside_laws(self, solution: Solution) -> int:
         """How many gains, payloads, springs and the like are missing, without laws and bodies."""
@@ -272,9 +275,16 @@ class Chooser:
 
     def _criterion(self, solution: Solution) -> float:
         """Schwarz's criterion [nats]: the less, the better."""
-        count = len(solution.chosen) + (0 if solution.payload is None else PAYLOAD_NUMBERS)
+        count = len(solution.chosen) + self._is_late(solution) + self._told_of_payload(solution)
         rows = max(float(self.fitter.equation.used.sum()), 1.0)
         return self.fitter.badness(solution) + 0.5 * float(np.log(rows)) * count
+
+    def _told_of_payload(self, solution: Solution) -> int:
+        """How many numbers of the payload motions tell: its mass, and most often its place."""
+        if solution.payload is None:
+            return 0
+        errors = np.sqrt(np.diagonal(self.fitter.covariance(solution)))[-4:-1]
+        return 1 + int(np.sum(errors < self.fitter.reaches[solution.payload.body]))
 
     def _selected(
         self, solution: Solution, families: dict[str, Group], groups: list[Group]

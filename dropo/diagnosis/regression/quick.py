@@ -186,7 +186,7 @@ class QuickDiagnose:
                 "too little is held out for smoothing: the forces are those of the fitted data."
             )
         forces = self._forces(problem, equation, estimate, bool(causes))
-        if faults and not self._explain_as_much(causes, forces, faults):
+        if faults and not (causes and self._explain_as_much(numbers, forces, faults)):
             causes = []
             forces = self._forces(problem, equation, estimate, found=False)
         else:
@@ -301,7 +301,7 @@ class QuickDiagnose:
 
     def _explain_as_much(
         self,
-        causes: list[Cause],
+        numbers: "list[FoundNumber]",
         forces: tuple[JointForces, ...],
         faults: tuple[WiringFault, ...],
     ) -> bool:
@@ -310,8 +310,8 @@ class QuickDiagnose:
         A payload, of which readings know nothing but its weight, may look like another sign or
         unit. A drive that would give next to nothing explains nothing: turned, it is fitted so.
         """
-        gains = [one.estimate["gain"].value for one in causes if one.effect == "actuator_gain"]
-        if not causes or any(1 + gain < self.settings.idle for gain in gains):
+        gains = [one.estimates[0][1].value for one in numbers if one.effect == "actuator_gain"]
+        if any(1 + gain < self.settings.idle for gain in gains):
             return False
         by_name = {joint.joint: joint for joint in forces}
         for fault in faults:

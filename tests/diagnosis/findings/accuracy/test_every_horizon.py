@@ -182,7 +182,7 @@ def test_a_verdict_holds_after_every_horizon():
     found = one_step.run(hidden)
     assert found.verdict == "unexplained"
     assert not found.remaining.calibrated
-    assert "5 and 20 steps" in found.remaining.where[-1]
+    assert "after 5 steps" in found.remaining.where[-1]
     assert "what noise explains" in found.headline()
     assert any("diagnose with --steps 5" in text for text in found.warnings)
 
