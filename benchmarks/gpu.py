@@ -35,6 +35,7 @@ def device() -> str | None:
         return None
     import warp as wp
 
+    wp.config.log_level = wp.LOG_ERROR  # else its greeting is printed, too
     found = [device for device in wp.get_devices() if device.is_cuda]
     return str(found[0].name) if found else None
 
