@@ -1,14 +1,11 @@
-"""Fisher scoring within bounds, with Levenberg damping, for local likelihoods."""
+"""Projected Fisher scoring with Levenberg damping, for local likelihoods."""
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dropo.core.contracts.likelihood import LocalLogLikelihood
 from dropo.core.services.validation import Array
-
-NEXT_TO_NOTHING = 1e-12  # of a variance that no longer matters
 
 
 @dataclass(frozen=True)
@@ -27,11 +24,6 @@ class FisherScoringSettings:
         Levenberg damping of the first step, as a fraction of the information's diagonal.
     smallest_damping : float
         Smallest damping, after many steps that gained.
-    good, poor : float
-        Fractions of the promised gain: a step that gains more is damped less next time, one that
-        gains less is damped more.
-    rounding : float
-        Fraction of the log-likelihood below which a difference is one of rounding.
     largest_damping : float
         It stops where even a step of more damping gains nothing.
     """
@@ -41,9 +33,6 @@ class FisherScoringSettings:
     largest_factor: float = 50.0
     first_damping: float = 1e-3
     smallest_damping: float = 1e-12
-    good: float = 0.75
-    poor: float = 0.25
-    rounding: float = 1e-10
     largest_damping: float = 1e8
 
 
@@ -118,19 +107,6 @@ class _Coordinates:
         target = np.where(self.is_log, logarithms, target)
         return np.clip(target, self.low, self.high)
 
-    def vanished(self, theta: Array, shrinking: NDArray[np.bool_]) -> Array:
-        """Theta with those variances that shrink as far as they may at their bound, or at next to
-        nothing: they are so small that nothing is to be gained any more.
-        """
-        least = np.maximum(self.low, NEXT_TO_NOTHING * theta)
-        return np.where(self.is_scale & shrinking, np.minimum(least, theta), theta)
-
-    def room(self, theta: Array) -> tuple[Array, Array]:
-        """How far each coordinate may go in one step, down (m,) and up (m,)."""
-        below = self.limit(theta, np.full(len(theta), -np.inf))
-        above = self.limit(theta, np.full(len(theta), np.inf))
-        return below - theta, above - theta
-
 
 def maximize_locally(
     objective: LocalLogLikelihood,
@@ -170,31 +146,25 @@ def maximize_locally(
     evaluations = 1
     converged = False
     while evaluations < settings.evaluations:
-        room = coordinates.room(theta)
-        whole = _boxed_step(score, information, room, settings.smallest_damping)
-        if _promise(score, information, whole) < settings.tolerance:
-            target = coordinates.vanished(theta, whole <= room[0])
-            if np.any(target < theta):
-                new = evaluate(target)
-                evaluations += 1
-                if new[0] > value - settings.rounding * abs(value):
-                    theta, value, score, information = target, *new
+        # Unknowns at a bound that the score pushes outwards stay where they are.
+        held_low = (theta <= coordinates.low) & (score <= 0)
+        held_high = (theta >= coordinates.high) & (score >= 0)
+        free = ~(held_low | held_high)
+        size = np.maximum(np.diagonal(information), 1e-300)
+        if not free.any() or _promise(score, information, free, size) < settings.tolerance:
             converged = True
             break
-        step = _boxed_step(score, information, room, damping)
-        # What a bound stops is on it, whatever rounding makes of the sum.
-        target = coordinates.limit(theta, theta + step)
+        step = _damped_step(score, information, free, size, damping)
+        target = theta.copy()
+        target[free] += step
+        target = coordinates.limit(theta, target)
         new = evaluate(target)
         evaluations += 1
-        gain = new[0] - value
-        promised = _promise(score, information, step)
-        if np.isfinite(new[0]) and gain > 0:
-            theta, value, score, information = target, *new
-            # A step that gains what it promises is damped less next time.
-            if gain > settings.good * promised:
-                damping = max(damping / 10, settings.smallest_damping)
-            elif gain < settings.poor * promised:
-                damping *= 3
+        # A step that gains is kept, and damped less next time.
+        if np.isfinite(new[0]) and new[0] > value:
+            theta = target
+            value, score, information = new
+            damping = max(damping / 10, settings.smallest_damping)
         elif damping > settings.largest_damping:
             converged = True
             break
@@ -204,50 +174,21 @@ def maximize_locally(
     return Maximum(phi, value, score, information, evaluations, converged)
 
 
-def _boxed_step(
-    score: Array, information: Array, room: tuple[Array, Array], damping: float
+def _damped_step(
+    score: Array, information: Array, free: np.ndarray, size: Array, damping: float
 ) -> Array:
-    """The Levenberg step (m,) within the room below and above, in units of the information's
-    diagonal.
+    """The Levenberg step of the free unknowns, solved in units of the information's diagonal."""
+    matrix = information[np.ix_(free, free)] + damping * np.diag(size[free])
+    root = np.sqrt(size[free])
+    return np.asarray(np.linalg.solve(matrix / np.outer(root, root), score[free] / root) / root)
 
-    It goes towards the best step of all unknowns until the first of them is at the edge of its
-    room, which stops there, then towards the best one of the others; what would gain by leaving its
-    edge again goes on, so that it gains all the way to the best step within the room.
+
+def _promise(score: Array, information: Array, free: np.ndarray, size: Array) -> float:
+    """The gain that a full step of the free unknowns promises [nats].
+
+    It is half of score' information^-1 score.
     """
-    root = np.sqrt(np.maximum(np.diagonal(information), 1e-300))
-    low, high = room[0] * root, room[1] * root
-    matrix = information / np.outer(root, root) + damping * np.eye(len(score))
-    scaled = score / root
-    step = np.zeros(len(score))
-    stopped = _pushed_out(scaled, step, low, high)
-    for _ in range(4 * len(score)):
-        free = np.flatnonzero(~stopped)
-        pulled = scaled[free] - matrix[np.ix_(free, stopped)] @ step[stopped]
-        move = np.linalg.solve(matrix[np.ix_(free, free)], pulled) - step[free]
-        edge = np.where(move > 0, high[free], low[free])
-        there = np.abs(edge - step[free]) <= np.abs(move)
-        if there.any():
-            share = np.ones(len(free))
-            share[there] = (edge - step[free])[there] / move[there]
-            first = share <= share.min()
-            step[free] += share.min() * move
-            step[free[first]] = edge[first]
-            stopped[free[first]] = True
-            continue
-        step[free] += move
-        left = scaled - matrix @ step
-        inward = np.where(stopped & ~_pushed_out(left, step, low, high), np.abs(left), 0.0)
-        if inward.max(initial=0.0) <= 1e-12 * np.abs(scaled).max(initial=0.0):
-            break
-        stopped[inward.argmax()] = False
-    return np.asarray(step / root)
-
-
-def _pushed_out(score: Array, step: Array, low: Array, high: Array) -> NDArray[np.bool_]:
-    """Which unknowns are at an edge of their room, and pushed out of it by the score."""
-    return ((step <= low) & (score <= 0)) | ((step >= high) & (score >= 0))
-
-
-def _promise(score: Array, information: Array, step: Array) -> float:
-    """The gain of a step (m,) were the log-likelihood quadratic [nats]."""
-    return float(score @ step - 0.5 * step @ information @ step)
+    root = np.sqrt(size[free])
+    ridge = 1e-12 * np.eye(int(free.sum()))
+    scaled = information[np.ix_(free, free)] / np.outer(root, root) + ridge
+    return 0.5 * float((score[free] / root) @ np.linalg.solve(scaled, score[free] / root))

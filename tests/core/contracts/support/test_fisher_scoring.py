@@ -5,12 +5,7 @@ import pytest
 import scipy.optimize
 
 from dropo.core.contracts.likelihood import LocalLogLikelihood
-from dropo.core.contracts.support.fisher_scoring import (
-    FisherScoringSettings,
-    _boxed_step,
-    _promise,
-    maximize_locally,
-)
+from dropo.core.contracts.support.fisher_scoring import FisherScoringSettings, maximize_locally
 from dropo.core.records.parameters import Parameter, ParameterSpace
 
 
@@ -176,49 +171,3 @@ def test_scoring_without_rounds_says_so():
     assert not maximize_locally(
         problem, np.full(3, 4.0), FisherScoringSettings(evaluations=2)
     ).converged
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_a_step_within_its_room_is_the_best_one(seed):
-    """Of 30 unknowns, correlated, most of whom reach an edge: that of bounded least squares."""
-    rng = np.random.default_rng(seed)
-    rows = rng.normal(size=(60, 30)) @ (np.eye(30) + 0.3 * rng.normal(size=(30, 30)))
-    wanted = rng.normal(size=60) * 10
-    low, high = -rng.uniform(0, 0.5, 30), rng.uniform(0, 0.5, 30)
-    low[:3] = 0.0
-    score, information = rows.T @ wanted, rows.T @ rows
-    step = _boxed_step(score, information, (low, high), 1e-12)
-    best = scipy.optimize.lsq_linear(rows, wanted, (low, high), method="bvls", tol=1e-14).x
-    assert np.sum((best == low) | (best == high)) > 5
-    np.testing.assert_allclose(step, best, atol=1e-8)
-    assert _promise(score, information, step) > 0
-
-
-def test_many_scales_at_their_bound_take_few_evaluations():
-    """Sixty groups whose means are equal, with a scale each, of which most are best at 0: the
-    maximum within 20 evaluations.
-    """
-    rng = np.random.default_rng(0)
-    x = rng.normal(size=(60, 12))
-
-    def value_score_information(phi):
-        mean, scale = np.split(phi, 2)
-        variance = 1 + scale**2
-        off = x - mean[:, None]
-        squares = (off**2).sum(axis=1)
-        value = -0.5 * float((squares / variance + 12 * np.log(variance)).sum())
-        by_variance = 0.5 * (squares / variance - 12) / variance
-        score = np.concatenate([off.sum(axis=1) / variance, 2 * scale * by_variance])
-        of_scale = 0.5 * 12 * (2 * scale / variance) ** 2
-        return value, score, np.diag(np.concatenate([12 / variance, of_scale]))
-
-    means = [Parameter(f"mean.{i}", -5, 5) for i in range(60)]
-    scales = [Parameter(f"scale.{i}", 0, 5) for i in range(60)]
-    problem = Textbook(value_score_information, *means, *scales)
-    found = maximize_locally(problem, np.concatenate([np.zeros(60), np.full(60, 2.0)]))
-    squares = ((x - x.mean(axis=1, keepdims=True)) ** 2).mean(axis=1)
-    best = np.sqrt(np.maximum(squares - 1, 0))
-    assert found.converged
-    assert found.evaluations <= 20
-    np.testing.assert_allclose(found.phi[:60], x.mean(axis=1), atol=1e-6)
-    np.testing.assert_allclose(found.phi[60:], best, atol=1e-4)
