@@ -182,7 +182,7 @@ def _trials(simulator: RobotSimulator, settings: LikelyCauseSettings) -> list[_T
             if len(instance.quantities) > 1 or (name == "actuator_delay" and instance.target):
                 continue
             quantity = instance.quantities[0]
-            if f"{instance.label}/{quantity.name}" in simulator.space.names:  # it is fitted
+            if instance.parameters[0].name in simulator.space.names:  # it is fitted
                 continue
             if quantity.smooth:
                 probes = quantity.probes[1:2]

@@ -311,13 +311,7 @@ class Readings:
         loads = np.concatenate(made)
         beside = [*loads.T, *-loads.T]
         motion = self._motion(self.plain)
-        back = motion.bias[:, dof]
-        tried = []
-        for delay in self.settings.delays:
-            drive = self._drive(self.plain, motion, dof, delay) + back
-            tried.append((*self._solved(motion, dof, [drive, *beside]), drive))
-        _, sizes, drive = min(tried, key=lambda one: one[0])
-        return self._held_out(motion, dof, sizes, drive, beside).left
+        return self._at_best_delay(self.plain, motion, dof, motion.bias[:, dof], beside).left
 
     def follows_speed(self, dof: int) -> float:
         """Say how closely a joint moves at the speed that its drive is told.
@@ -479,13 +473,24 @@ class Readings:
             back = motion.bias[:, dof]
             if reading.torques.intersection(drives):
                 back = np.zeros_like(back)
-            tried = []
-            for delay in self.settings.delays:
-                drive = self._drive(reading, motion, dof, delay) + back
-                tried.append((*self._solved(motion, dof, [drive]), drive))
-            _, sizes, drive = min(tried, key=lambda one: one[0])
-            self._fits[key] = self._held_out(motion, dof, sizes, drive)
+            self._fits[key] = self._at_best_delay(reading, motion, dof, back)
         return self._fits[key]
+
+    def _at_best_delay(
+        self,
+        reading: Reading,
+        motion: _SmoothedMotion,
+        dof: int,
+        back: Array,
+        beside: Sequence[Array] = (),
+    ) -> JointFit:
+        """The fit at the delay that explains most; back: a drive's pull; beside: more columns."""
+        tried = []
+        for delay in self.settings.delays:
+            drive = self._drive(reading, motion, dof, delay) + back
+            tried.append((*self._solved(motion, dof, [drive, *beside]), drive))
+        _, sizes, drive = min(tried, key=lambda one: one[0])
+        return self._held_out(motion, dof, sizes, drive, beside)
 
     def _held_out(
         self,
@@ -493,7 +498,7 @@ class Readings:
         dof: int,
         sizes: Array,
         drive: Array,
-        beside: Sequence[Array] = (),
+        beside: Sequence[Array],
     ) -> JointFit:
         """How well numbers that were fitted explain the rows held out; beside: more columns."""
         rows = self.held & motion.moves[:, dof]
@@ -610,7 +615,7 @@ class Readings:
             commands[:, i] = reading.command_scales[i] * logged[:, reading.commands[i]]
             if within:
                 commands = log.given(commands)
-            self._given[key] = commands[:, i]
+            self._given[key] = commands[:, i].copy()
         return self._given[key]
 
     def _motion(self, reading: Reading) -> _SmoothedMotion:

@@ -193,10 +193,9 @@ def changed_parameters(
     """
     names = simulator.space.names
     found = {}
-    for quantity, size in zip(instance.quantities, sizes.tolist(), strict=True):
-        name = f"{instance.label}/{quantity.name}"
-        if name in names:
-            found[names.index(name)] = size
+    for parameter, size in zip(instance.parameters, sizes.tolist(), strict=True):
+        if parameter.name in names:
+            found[names.index(parameter.name)] = size
     if instance.model is None or not simulator.bindings:
         return found
     changed = copy.copy(simulator.simulated)
