@@ -28,6 +28,7 @@ nb_execution_timeout = 300
 napoleon_google_docstring = False
 napoleon_use_ivar = True  # fields of a dataclass stand once, where its docstring lists them
 autodoc_member_order = "bysource"
+autodoc_use_type_comments = False  # there are none
 autodoc_default_options = {"members": True}
 python_maximum_signature_line_length = 100
 pygments_style = "friendly"

@@ -435,7 +435,9 @@ def test_the_documentation_is_whole(tmp_path):
     """Every page is read and its references are resolved without a warning; HTML is written, which
     takes as long again, by the studies.
     """
-    done = build(ROOT / "docs", tmp_path, "dummy", "-D", "nb_execution_mode=off")
+    done = build(
+        ROOT / "docs", tmp_path, "dummy", "-D", "nb_execution_mode=off", "-D", "smartquotes=0"
+    )
     assert done.returncode == 0, done.stderr
     for page in SHOWN:
         assert (tmp_path / "trees" / f"{page}.doctree").stat().st_size > 5000

@@ -156,7 +156,7 @@ def build(folder: Path) -> None:
     """Write whole files of every kind into a folder."""
     build_inputs(folder)
     with inside(folder), contextlib.redirect_stdout(io.StringIO()):
-        hidden = ("--hide", "joint_armature:elbow=0.01", "--out", "found")
+        hidden = ("--hide", "joint_armature:elbow=0.01", "--wiring", "off", "--out", "found")
         for command in (
             ("fit", "problem.yaml", "--out", "run"),
             ("train", "problem.yaml", "--budget", "1", "--out", "policy", "--trust"),

@@ -13,7 +13,7 @@ import pytest
 from dropo.core.services.errors import InvalidInput
 from dropo.core.services.files.evaluation_log import EvaluationLog
 
-FIT = ("fit", "slide", "--likelihood", "monte-carlo", "--draws", "20", "--budget", "100", "--quiet")
+FIT = ("fit", "slide", "--likelihood", "monte-carlo", "--draws", "10", "--budget", "60", "--quiet")
 
 
 def run(folder: Path, kernel: str) -> dict[str, float]:

@@ -15,7 +15,7 @@ pytestmark = pytest.mark.skipif(
 
 def test_measured(monkeypatch):
     """Errors of every model at its horizon, the cause with its size, and a picture."""
-    few = lambda: Diagnose(["joint_damping"], windows=12, disturbances=False)
+    few = lambda: Diagnose(["joint_damping"], windows=6, disturbances=False)
     monkeypatch.setattr(study, "Diagnose", few)
     found = study.measured(Work(threads=1), problems=["swinging-pendulum"])
     errors, causes, _, _, remaining, _ = found.tables
