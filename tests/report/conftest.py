@@ -29,7 +29,7 @@ def diagnosis_folder(tmp_path_factory):
     """Of `dropo diagnose` on an arm whose elbow has more damping than its model."""
 
     def make(folder):
-        hidden = problem([("joint_damping:elbow", [0.05])], episodes=8)
+        hidden = problem([("joint_damping:elbow", [0.05])], episodes=5)
         path = write_problem(hidden, folder / "problem")
         arguments = [*EFFECTS, "--steps", "5", "--out", str(folder / "run"), "--quiet"]
         assert main(["diagnose", str(path), *arguments]) == 0
