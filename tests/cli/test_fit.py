@@ -25,7 +25,7 @@ from dropo.studies.unlogged_states.machines import ARM, simulate_log
 
 SAMPLED = ("--likelihood", "monte-carlo", "--optimizer", "cma-es")
 SMALL = (*SAMPLED, "--draws", "10", "--budget", "60")
-LONG = (*SAMPLED, "--draws", "20", "--budget", "160")
+LONG = (*SAMPLED, "--draws", "10", "--budget", "160")
 
 
 def result(folder: Path) -> dict[str, Any]:
