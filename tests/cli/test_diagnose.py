@@ -23,7 +23,7 @@ SOME = ["--effects", "joint_damping", "joint_friction", "actuator_gain"]
 def damped(tmp_path_factory):
     """A problem file whose data have more damping than its model."""
     return write_problem(
-        problem([("joint_damping:elbow", [0.05])], episodes=10), tmp_path_factory.mktemp("damped")
+        problem([("joint_damping:elbow", [0.05])], episodes=6), tmp_path_factory.mktemp("damped")
     )
 
 
