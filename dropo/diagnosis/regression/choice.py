@@ -639,7 +639,7 @@ class Chooser:
                 found[0] = 1.0
                 other_moments = other_moments - other_gram[:, 0]
             if len(free):
-                square = other_gram[np.ix_(free, free)]
+                square = other_gram[free[:, None], free]
                 found[free] = bounded(square, other_moments[free], np.array(lowest))
             squares = np.einsum("i,bij,j->b", found, grams[own], found)
             errors[own] = tables.sizes[own] - 2 * by_block[own] @ found + squares

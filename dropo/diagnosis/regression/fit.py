@@ -631,9 +631,10 @@ def bounded(gram: Array, moments: Array, lowest: Array) -> Array:
         free = ~at_bound
         found = np.where(at_bound, lowest, 0.0)
         if free.any():
-            own = gram[np.ix_(free, free)] / np.outer(scale[free], scale[free])
+            rows = np.flatnonzero(free)
+            own = gram[rows[:, None], rows] / np.outer(scale[free], scale[free])
             aim = moments - gram[:, at_bound] @ lowest[at_bound]
-            own += 1e-10 * np.eye(len(own))
+            own.flat[:: len(own) + 1] += 1e-10
             found[free] = np.linalg.solve(own, aim[free] / scale[free]) / scale[free]
         below = free & (found < lowest - 1e-12)
         if not below.any():

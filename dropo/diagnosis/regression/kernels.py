@@ -1,5 +1,7 @@
 """Even kernels that smooth a log and differentiate it, and the means of commands under them."""
 
+from functools import lru_cache
+
 import numpy as np
 from scipy.ndimage import correlate1d
 from scipy.special import erf
@@ -39,6 +41,7 @@ def derivative_kernels(width: float, step: float) -> Array:
     return np.stack([value, first, second])
 
 
+@lru_cache(maxsize=256)
 def held_kernel(width: float, step: float, delay: float) -> Array:
     """Weights that give the smoothed mean of commands that are held for a step and come late.
 
@@ -59,7 +62,9 @@ def held_kernel(width: float, step: float, delay: float) -> Array:
     half = int(np.ceil((REACH * width + abs(delay)) / step)) + 1
     t = step * np.arange(-half, half + 1) + delay
     ends = erf(np.stack([t, t + step]) / (np.sqrt(2.0) * width))
-    return np.asarray(0.5 * (ends[1] - ends[0]))
+    weights = np.asarray(0.5 * (ends[1] - ends[0]))
+    weights.flags.writeable = False  # they are kept for the next call
+    return weights
 
 
 def apply_kernel(weights: Array, rows: Array) -> Array:

@@ -133,17 +133,21 @@ def rigid_forces(
     data = mujoco.MjData(bare)
     moving = np.empty_like(velocities)
     holding = np.empty_like(velocities)
-    gravity = bare.opt.gravity.copy()
+    gravity = bare.opt.gravity
+    pulls = gravity.copy()
+    qpos, qvel, qacc, force = data.qpos, data.qvel, data.qacc, data.qfrc_inverse
+    nothing, position = mujoco.mjtStage.mjSTAGE_NONE, mujoco.mjtStage.mjSTAGE_POS
     for i in range(len(positions)):
-        data.qpos[:] = positions[i]
-        data.qvel[:] = velocities[i]
-        data.qacc[:] = accelerations[i]
-        bare.opt.gravity[:] = 0
-        mujoco.mj_inverse(bare, data)
-        moving[i] = data.qfrc_inverse
-        bare.opt.gravity[:] = gravity
-        mujoco.mj_inverse(bare, data)
-        holding[i] = data.qfrc_inverse - moving[i]
+        qpos[:] = positions[i]
+        qvel[:] = velocities[i]
+        qacc[:] = accelerations[i]
+        gravity[:] = 0
+        mujoco.mj_inverseSkip(bare, data, nothing, 1)
+        moving[i] = force
+        gravity[:] = pulls
+        mujoco.mj_inverseSkip(bare, data, position, 1)
+        holding[i] = force
+    holding -= moving
     return moving, holding
 
 

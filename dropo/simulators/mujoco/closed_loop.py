@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array, check_shape, require
+from dropo.mjmodel.timers import without_timers
 from dropo.mjmodel.warnings import suppress_mujoco_warnings
 from dropo.simulators.mujoco.simulator import MAX_STATE, MujocoSimulator
 from dropo.simulators.mujoco.worker import Worker
@@ -161,7 +162,7 @@ def advance(batch: Batch, ids: Ints, steps: int) -> NDArray[np.bool_]:
         Which of them MuJoCo ended with an error.
     """
     try:
-        with suppress_mujoco_warnings():
+        with suppress_mujoco_warnings(), without_timers():
             batch.step(ids, steps)
     except SimulationError:
         failed: NDArray[np.bool_] = batch.status[ids] != 0

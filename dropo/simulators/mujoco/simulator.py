@@ -34,6 +34,7 @@ from dropo.mjmodel.held_joints import can_hold, free_joints, hold_joints
 from dropo.mjmodel.names import element_names
 from dropo.mjmodel.observation import Layout
 from dropo.mjmodel.robot_simulator import RobotSimulator
+from dropo.mjmodel.timers import without_timers
 from dropo.mjmodel.visuals import without_visuals
 from dropo.mjmodel.warnings import suppress_mujoco_warnings
 from dropo.simulators.mujoco.layers import (
@@ -486,7 +487,7 @@ class MujocoSimulator(RobotSimulator):
                     tasks.append((k, own, present))
         # One thread is the caller's own, whose time then holds that of the simulations.
         run: Any = map if self.threads == 1 else self._pool.map
-        with suppress_mujoco_warnings():
+        with suppress_mujoco_warnings(), without_timers():
             for _ in run(lambda task: simulate(*task), tasks):
                 pass
         return out

@@ -35,7 +35,7 @@ def started(problem, free=NONE):
 @pytest.fixture(scope="module")
 def recording():
     """A machine of random numbers, its first model, and its log."""
-    return recorded_machine(DESIGN, np.random.default_rng(31), seconds=7.5)
+    return recorded_machine(DESIGN, np.random.default_rng(31), seconds=5.0)
 
 
 @pytest.fixture(scope="module")
