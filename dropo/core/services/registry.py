@@ -179,7 +179,6 @@ BUILT_IN: dict[str, dict[str, str]] = {
         "pushing": "dropo.studies.tiboni_2021.pushing:pushing_study",
         "unlogged-base": "dropo.studies.unlogged_base.study:unlogged_base",
         "unlogged-states": "dropo.studies.unlogged_states.study:unlogged_states",
-        "random-machines": "dropo.studies.random_machines.study:random_machines",
         "related-methods": "dropo.studies.related_methods.study:related_methods",
     },
     "exports": {

@@ -1,79 +1,61 @@
-"""What a quick diagnosis finds of machines of random shape that lack none, one or two things."""
+"""What a quick diagnosis finds of machines of random shape that lack none, one or two things.
 
+`python benchmarks/random_machines COUNT FIRST_SEED` draws machines, which plain MuJoCo steps finer
+and otherwise than their models, and prints a line each and a table. A machine is right if what is
+missing is named with its place, nothing else is, and each size is within 3 standard errors; a
+payload may be called a heavier body. Listed is what is missed but stands among what a named cause
+cannot be told from. Rules and thresholds are chosen on seeds below 1000 only.
+"""
+
+import sys
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from design import DRIVES, STEP, random_design
+from hidden import NUMBERS, random_machine
+from logs import Lost, random_log
 
 from dropo.core.contracts.problem import Problem
-from dropo.core.services.validation import require
+from dropo.core.services.tables import Table
 from dropo.diagnosis.parts import Cause
 from dropo.diagnosis.regression.quick import QuickDiagnose
 from dropo.simulators.mujoco.simulator import MujocoSimulator
-from dropo.studies.engine.study import Study, Table
-from dropo.studies.engine.work import Work
-from dropo.studies.random_machines.design import DRIVES, STEP, random_design
-from dropo.studies.random_machines.hidden import COUNTS, NUMBERS, random_machine
-from dropo.studies.random_machines.logs import Lost, random_log
 
-SEEDS = 200
-FIRST_SEED = 1000
-"""Rules and thresholds were chosen on seeds below it."""
 WITHIN = 3.0
 """Standard errors within which a number is right."""
+HEADER = (
+    "the model lacks",
+    "machines",
+    "right",
+    "false names",
+    "missed",
+    "listed",
+    "within 3 se",
+    "RMS z",
+    "seconds",
+)
 SAME = {"body_mass": "payload"}
 """A body that is heavier carries something: the names that count as others."""
 
 
-def random_machines(work: Work, seeds: int | None = None) -> Study:
-    """Count what is found of machines that no rule was chosen on.
+def main(count: int, first: int) -> None:
+    """Diagnose machines, a line each, and print what is right of those that lack as much."""
+    answers = []
+    for seed in range(first, first + count):
+        answers.append(diagnosed(seed))
+        print(seed, answers[-1], flush=True)
+    sizes = ("nothing", "one thing", "two things")
+    groups = [(size, _of_size(answers, number)) for number, size in enumerate(sizes)]
+    groups += [(effect, _with_effect(answers, effect)) for effect in NUMBERS]
+    groups += [(drives, [one for one in answers if one["drives"] == drives]) for drives in DRIVES]
+    rows = [(name, *_cells(own)) for name, own in [*groups, ("all", answers)] if own]
+    print(Table(f"{count} machines, seeds from {first} on", HEADER, tuple(rows)))
 
-    Parameters
-    ----------
-    work : Work
-        Runs the diagnoses.
-    seeds : int or None
-        How many machines; None for the study's own number.
 
-    Returns
-    -------
-    Study
-
-    Raises
-    ------
-    BadArgument
-        If `seeds` is below 1.
-    """
-    count = SEEDS if seeds is None else seeds
-    require(count >= 1, "seeds", "at least 1", count, "random_machines")
-    items = [FIRST_SEED + seed for seed in range(count)]
-    answers = work.map(diagnosed, items)
-    by_thing = [
-        (name, [one for one in answers if name in [effect for effect, _ in one["hidden"]]])
-        for name in NUMBERS
-    ]
-    by_drives = [(kind, [one for one in answers if one["drives"] == kind]) for kind in DRIVES]
-    by_count = [
-        (("nothing", "one thing", "two things")[size], _of_size(answers, size))
-        for size in range(len(COUNTS))
-    ]
-    parts = {"missing": [*by_count, *by_thing], "drives": by_drives, "": [("all", answers)]}
-    rows = [
-        (kind, name, *_cells(own)) for kind, groups in parts.items() for name, own in groups if own
-    ]
-    header = ("", "", "machines", "right", "false names", "missed", "of them listed", "within 3 se")
-    title = f"{count} machines, seeds from {FIRST_SEED} on"
-    return Study(
-        "random-machines",
-        "Machines of random shape, by regression alone (--quick)",
-        (Table(title, (*header, "RMS z", "CPU s"), tuple(rows)),),
-        (
-            "Right: what is missing is named with its place, nothing else is, and each size is "
-            "within 3 standard errors. A payload may be called a heavier body.",
-            "Of them listed: missed, but among what a named cause cannot be told from.",
-        ),
-        {"machines": [[seed, answer] for seed, answer in zip(items, answers, strict=True)]},
-    )
+def _with_effect(answers: Sequence[dict[str, Any]], effect: str) -> list[dict[str, Any]]:
+    """The answers of machines that lack an effect."""
+    return [one for one in answers if effect in [hidden for hidden, _ in one["hidden"]]]
 
 
 def _of_size(answers: Sequence[dict[str, Any]], size: int) -> list[dict[str, Any]]:
@@ -184,3 +166,7 @@ def compare(causes: Sequence[Cause], truth: dict[tuple[str, str | None], float])
         "listed": [list(key) for key in missed if key in listed],
         "z": z,
     }
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]), int(sys.argv[2]))

@@ -2,12 +2,12 @@
 
 import mujoco
 import numpy as np
+from design import RandomDesign
+from hidden import Machine
 from numpy.random import Generator
 
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.validation import Array
-from dropo.studies.random_machines.design import RandomDesign
-from dropo.studies.random_machines.hidden import Machine
 
 CONTROL_STEPS = (0.004, 0.01, 0.02)  # [s]
 WAVES = {"sines": 0.6, "steps": 0.2, "ramps": 0.2}

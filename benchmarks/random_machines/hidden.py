@@ -4,9 +4,8 @@ from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
+from design import STEP, RandomDesign
 from numpy.random import Generator
-
-from dropo.studies.random_machines.design import STEP, RandomDesign
 
 FINER = 5
 """Physics steps of the machine in one of the model."""
