@@ -31,10 +31,10 @@ NOISE = np.repeat([5e-4, 5e-3], 6)  # [rad], [rad/s]
 LARGEST = {"dof_damping": (2.0, "N m s/rad"), "dof_armature": (0.1, "kg m^2")}
 
 
-def clean(count: int = SETS) -> None:
+def clean(count: int = SETS, first: int = FIRST) -> None:
     """One line a data set, then RMS z of each mean."""
     scores = []
-    for seed in range(FIRST, FIRST + count):
+    for seed in range(first, first + count):
         data, _ = simulate(500, 2, rng=np.random.default_rng(seed))
         fit = DROPO().fit(hopper_problem("hopper", data, 1e-8, 1), rng=seed)
         error = fit.mean - _truth(fit)
