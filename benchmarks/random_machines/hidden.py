@@ -1,6 +1,6 @@
 """What a random machine has and its model lacks: none, one or two things."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -37,8 +37,8 @@ class Machine:
     """
 
     spec: mujoco.MjSpec
-    delay: float = 0.0
-    truth: dict[tuple[str, str | None], float] = field(default_factory=dict)
+    delay: float
+    truth: dict[tuple[str, str | None], float]
 
 
 def random_machine(design: RandomDesign, rng: Generator) -> Machine:

@@ -8,6 +8,7 @@ from numpy.random import Generator
 
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.validation import Array
+from dropo.studies.first_models.strangers import between_levels, sum_of_sines
 
 CONTROL_STEPS = (0.004, 0.01, 0.02)  # [s]
 WAVES = {"sines": 0.6, "steps": 0.2, "ramps": 0.2}
@@ -135,15 +136,7 @@ def _wanted(wave: str, joints: int, steps: int, control: float, rng: Generator) 
     found = np.zeros((steps, joints))
     for i in range(joints):
         if wave == "sines":
-            for _ in range(4):
-                phase = 2 * np.pi * rng.uniform(0.1, 1.2) * time + rng.uniform(0, 2 * np.pi)
-                found[:, i] += rng.uniform(0.2, 0.5) * np.sin(phase)
-            continue
-        every = rng.uniform(0.6, 1.4)
-        knots = np.arange(0.0, time[-1] + 2 * every, every)
-        levels = rng.uniform(-1.0, 1.0, len(knots))
-        if wave == "steps":
-            found[:, i] = levels[np.searchsorted(knots, time, side="right") - 1]
+            found[:, i] = sum_of_sines(time, 4, (0.1, 1.2), (0.2, 0.5), rng)
         else:
-            found[:, i] = np.interp(time, knots, levels)
+            found[:, i] = between_levels(time, (0.6, 1.4), rng, held=wave == "steps")
     return found

@@ -135,8 +135,12 @@ def rigid_forces(
     holding = np.empty_like(velocities)
     gravity = bare.opt.gravity
     pulls = gravity.copy()
-    qpos, qvel, qacc, force = data.qpos, data.qvel, data.qacc, data.qfrc_inverse
-    nothing, position = mujoco.mjtStage.mjSTAGE_NONE, mujoco.mjtStage.mjSTAGE_POS
+    qpos = data.qpos
+    qvel = data.qvel
+    qacc = data.qacc
+    force = data.qfrc_inverse
+    nothing = mujoco.mjtStage.mjSTAGE_NONE
+    position = mujoco.mjtStage.mjSTAGE_POS
     for i in range(len(positions)):
         qpos[:] = positions[i]
         qvel[:] = velocities[i]

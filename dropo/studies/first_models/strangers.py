@@ -137,19 +137,66 @@ def _log(made: mujoco.MjSpec, design: Design, control: float, rng: Generator) ->
 def _commands(drives: int, count: int, control: float, rng: Generator) -> Array:
     """(count, drives) commands of about 1: sums of sines, steps that are rounded off, or ramps."""
     kind = rng.integers(3)
-    time = control * np.arange(count)
+    time: Array = control * np.arange(count, dtype=float)
     found = np.zeros((count, drives))
     for i in range(drives):
         if kind == 0:
-            for _ in range(3):
-                phase = 2 * np.pi * rng.uniform(0.1, 1.5) * time + rng.uniform(0, 2 * np.pi)
-                found[:, i] += rng.uniform(0.2, 0.6) * np.sin(phase)
-            continue
-        every = rng.uniform(0.7, 1.5)
-        knots = np.arange(0.0, time[-1] + 2 * every, every)
-        levels = rng.uniform(-1.0, 1.0, len(knots))
-        if kind == 1:
-            found[:, i] = levels[np.searchsorted(knots, time, side="right") - 1]
+            found[:, i] = sum_of_sines(time, 3, (0.1, 1.5), (0.2, 0.6), rng)
         else:
-            found[:, i] = np.interp(time, knots, levels)
+            found[:, i] = between_levels(time, (0.7, 1.5), rng, held=kind == 1)
     return found - found[0]
+
+
+def sum_of_sines(
+    time: Array, count: int, hertz: tuple[float, float], sizes: tuple[float, float], rng: Generator
+) -> Array:
+    """Add sines of random frequency, phase and size.
+
+    Parameters
+    ----------
+    time : (T,) array
+        When it is wanted [s].
+    count : int
+        How many sines.
+    hertz : tuple of float
+        The lowest and the highest frequency [Hz].
+    sizes : tuple of float
+        The smallest and the largest amplitude.
+    rng : numpy.random.Generator
+        What random numbers come from.
+
+    Returns
+    -------
+    (T,) array
+    """
+    found = np.zeros(len(time))
+    for _ in range(count):
+        phase = 2 * np.pi * rng.uniform(*hertz) * time + rng.uniform(0, 2 * np.pi)
+        found += rng.uniform(*sizes) * np.sin(phase)
+    return found
+
+
+def between_levels(time: Array, every: tuple[float, float], rng: Generator, *, held: bool) -> Array:
+    """Go from one random level between -1 and 1 to the next, in steps or in ramps.
+
+    Parameters
+    ----------
+    time : (T,) array
+        When it is wanted, from 0 on [s].
+    every : tuple of float
+        The shortest and the longest time between two levels [s].
+    rng : numpy.random.Generator
+        What random numbers come from.
+    held : bool
+        Whether each level is held until the next.
+
+    Returns
+    -------
+    (T,) array
+    """
+    apart = rng.uniform(*every)
+    knots = np.arange(0.0, time[-1] + 2 * apart, apart)
+    levels = rng.uniform(-1.0, 1.0, len(knots))
+    if held:
+        return np.asarray(levels[np.searchsorted(knots, time, side="right") - 1])
+    return np.asarray(np.interp(time, knots, levels))
