@@ -11,8 +11,8 @@ from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import BadArgument, Incompatible
 from dropo.diagnosis.far_off.model import GAIN, FarOffModel, reaching
 from dropo.diagnosis.regression.equation import is_floating
+from dropo.diagnosis.regression.missing import Missing
 from dropo.diagnosis.regression.quick import (
-    Missing,
     QuickSettings,
     estimate_missing,
     fixed_numbers,

@@ -8,7 +8,6 @@ the ground, short windows are simulated for the friction there.
 import time
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, field, replace
-from functools import cached_property
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -21,8 +20,9 @@ from dropo.core.services.errors import BadArgument
 from dropo.core.services.validation import Array, require
 from dropo.diagnosis.findings.premises.still import still_sentences
 from dropo.diagnosis.findings.to_type import to_type
-from dropo.diagnosis.parts import Alternative, Cause, Estimate
-from dropo.diagnosis.regression.choice import BlockTables, ChoiceSettings, Chooser
+from dropo.diagnosis.parts import Cause, Estimate
+from dropo.diagnosis.regression.alike import most_plausible
+from dropo.diagnosis.regression.choice import ChoiceSettings, Chooser
 from dropo.diagnosis.regression.contacts import (
     ContactSettings,
     FoundFriction,
@@ -31,14 +31,16 @@ from dropo.diagnosis.regression.contacts import (
 )
 from dropo.diagnosis.regression.equation import Equation, EquationSettings, equation_of
 from dropo.diagnosis.regression.fit import GAIN, FitSettings, Fitter, Solution, root_mean_square
+from dropo.diagnosis.regression.missing import FoundNumber, Missing, values_of
 from dropo.diagnosis.regression.readings import sides
 from dropo.diagnosis.regression.resimulation import ResimulationSettings, resimulated
 from dropo.diagnosis.regression.result import JointForces, QuickDiagnosis, WiringFault
 from dropo.diagnosis.regression.terms import Term, terms_of
 from dropo.diagnosis.regression.wiring import wiring_faults
 from dropo.diagnosis.search.library import robot_of
+from dropo.diagnosis.search.plausibility import Plausibility
 from dropo.mjmodel.bodies import extent, moving_bodies, moving_mass
-from dropo.mjmodel.joints import actuators, joints
+from dropo.mjmodel.joints import joints
 from dropo.mjmodel.options import physics_step
 from dropo.mjmodel.robot_simulator import RobotSimulator
 
@@ -71,6 +73,8 @@ class QuickSettings:
     similarity : float
         The cosine of two terms' forces, with all others projected out, from which data can not
         tell them apart.
+    plausibility : Plausibility
+        How usual each effect is: of two that the data cannot tell apart, the more usual is named.
     same : float
         The same from which a rotor's force is that of a gain whatever moves: the scale of all
         forces is not told then.
@@ -101,6 +105,7 @@ class QuickSettings:
     widen: float = 1.4
     explained: float = 0.1
     similarity: float = 0.98
+    plausibility: Plausibility = field(default_factory=Plausibility)
     same: float = 0.9999
     scale: float = 0.2
     alike: float = 2.0
@@ -218,7 +223,7 @@ class QuickDiagnose:
             simulator_steps=simulator.steps - before,
         )
 
-    def _causes(self, numbers: "list[FoundNumber]", estimate: "Missing") -> list[Cause]:
+    def _causes(self, numbers: list[FoundNumber], estimate: Missing) -> list[Cause]:
         """Every number that is missing as a cause, the one that gains most first."""
         found = []
         blocks = len(np.unique(estimate.fitter.equation.block))
@@ -249,7 +254,7 @@ class QuickDiagnose:
         return found
 
     def _friction(
-        self, simulator: RobotSimulator, fitted: Trajectories, estimate: "Missing"
+        self, simulator: RobotSimulator, fitted: Trajectories, estimate: Missing
     ) -> FoundFriction | None:
         """The friction of contacts, where the base is free and another one than the model's."""
         if not estimate.fitter.equation.by_joint or not knows_starts(simulator):
@@ -259,7 +264,7 @@ class QuickDiagnose:
         return found if found is not None and found.is_certain(settings.certain) else None
 
     def _forces(
-        self, problem: Problem, equation: Equation, estimate: "Missing", found: bool
+        self, problem: Problem, equation: Equation, estimate: Missing, found: bool
     ) -> tuple[JointForces, ...]:
         """What the drives give at each joint along data held out, and what is not explained."""
         simulator = robot_of(problem)
@@ -301,7 +306,7 @@ class QuickDiagnose:
 
     def _explain_as_much(
         self,
-        numbers: "list[FoundNumber]",
+        numbers: list[FoundNumber],
         forces: tuple[JointForces, ...],
         faults: tuple[WiringFault, ...],
     ) -> bool:
@@ -331,7 +336,7 @@ class QuickDiagnose:
         self,
         extended: Problem,
         checked: Trajectories,
-        estimate: "Missing",
+        estimate: Missing,
         forces: tuple[JointForces, ...],
     ) -> tuple[str, ...]:
         """The joints whose force is left by what smoothing does to the log, not by the machine.
@@ -381,378 +386,6 @@ class QuickDiagnose:
         return "unexplained" if wrong else "consistent"
 
 
-@dataclass(frozen=True, eq=False)
-class FoundNumber:
-    """Something that is missing.
-
-    Attributes
-    ----------
-    index : int or str
-        The term's place, GAIN, "delay" or "payload".
-    effect, target, variant : str
-        The effect.
-    estimates : tuple of (str, Estimate)
-        Its quantities.
-    named : bool
-        Whether it is certain and large enough to be a cause.
-    unknown : bool
-        Whether its force is large, but its error is larger than the number.
-    """
-
-    index: int | str
-    effect: str
-    target: str | None
-    variant: str
-    estimates: tuple[tuple[str, Estimate], ...]
-    named: bool
-    unknown: bool
-
-    @property
-    def label(self) -> str:
-        """Such as "payload:hand"."""
-        return self.effect if self.target is None else f"{self.effect}:{self.target}"
-
-
-@dataclass(frozen=True, eq=False)
-class Missing:
-    """What is missing from an equation of motion, with its errors.
-
-    Attributes
-    ----------
-    fitter : Fitter
-        The equation and its terms.
-    chooser : Chooser
-        How they were chosen.
-    solution : Solution
-        The numbers.
-    errors : (k,) array
-        Standard errors: of the rows, of the kernels' widths, and of the model's physics step.
-    large : float
-        The fraction of the drives' force from which a term is named, however uncertain its size.
-    """
-
-    fitter: Fitter
-    chooser: Chooser
-    solution: Solution
-    errors: Array
-    large: float
-
-    @property
-    def left(self) -> float:
-        """RMS of the forces that are left, as a fraction of the drives'."""
-        return self._left(self.solution)
-
-    @property
-    def left_as_it_came(self) -> float:
-        """RMS of the forces that the model as it came leaves, as a fraction of the drives'."""
-        return self._left(self.fitter.start(()))
-
-    def _left(self, solution: Solution) -> float:
-        """RMS over joints of what is left, each as a fraction of its drive's force."""
-        equation = self.fitter.equation
-        residuals = np.where(equation.used, self.fitter.residuals(solution), np.nan)
-        drive = np.maximum(root_mean_square(self.fitter.forces(solution.delay)), 1e-300)
-        return float(np.sqrt(np.mean((root_mean_square(residuals) / drive) ** 2)))
-
-    def numbers(self, simulator: RobotSimulator, certain: float) -> list[FoundNumber]:
-        """List all numbers that were fitted, with their errors.
-
-        Parameters
-        ----------
-        simulator : RobotSimulator
-            The robot, for the names of its drives and bodies.
-        certain : float
-            Standard errors that a number must be away from 0 to be a cause.
-
-        Returns
-        -------
-        list of FoundNumber
-            The gain, the terms, the payload and the delay, as far as they are there.
-        """
-        solution = self.solution
-        errors = self.errors.tolist()
-        model = simulator.model
-        drives = actuators(model)
-        everywhere = drives[0].name if len(drives) == 1 else None
-        found = []
-        shares = self.chooser.term_forces(solution)
-
-        def add(
-            index: int | str, place: tuple[str, str | None, str], least: float, **sizes: Estimate
-        ) -> None:
-            first = next(iter(sizes.values()))
-            known = abs(first.value) > first.se
-            asked = least == -np.inf
-            named = (asked and known) or abs(first.value) > max(least, certain * first.se)
-            unknown = asked and not known
-            found.append(FoundNumber(index, *place, tuple(sizes.items()), named, unknown))
-
-        if GAIN in solution.chosen:
-            gain = Estimate(solution.gain, errors.pop(0) / solution.beta**2, "1", 1.0)
-            add(GAIN, ("actuator_gain", everywhere, ""), 0.0, gain=gain)
-        for i in solution.terms:
-            term = self.fitter.terms[i]
-            size = Estimate(float(solution.sizes[i]), errors.pop(0), term.unit, term.model)
-            # A number that ends at its bound is no cause: something else may act like it.
-            least = np.inf if self.at_bound(i) else term.least * (1 + solution.gain)
-            # Beside a payload the scale of all forces may be uncertain; a large force is there.
-            large = solution.payload is not None and shares[i] > self.large
-            large = large and not self.fitter.equation.by_joint
-            if large and abs(size.value) > least:
-                least = -np.inf
-            add(i, (term.effect, term.target, term.variant), least, **{term.quantity: size})
-        payload = solution.payload
-        if payload is not None:
-            name = moving_bodies(model)[payload.body][1]
-            sizes = {"mass": Estimate(payload.mass, errors.pop(0), "kg", None)}
-            for letter, value in zip("xyz", payload.place, strict=True):
-                error = errors.pop(0)
-                # Motions may not tell a coordinate, such as the height where all axes are upright.
-                if error < self.fitter.reaches[payload.body]:
-                    sizes[letter] = Estimate(float(value), error, "m", None)
-            # Data held out ask for it, if its mass is uncertain beside the drives' gain.
-            add("payload", ("payload", name, ""), -np.inf, **sizes)
-        # A simulation of the model acts early by itself: what is to be typed makes up for that.
-        delay = Estimate(solution.delay - self.fitter.own_delay, errors.pop(0), "s", None)
-        if delay.value > 0:
-            add("delay", ("actuator_delay", everywhere, ""), physics_step(model), delay=delay)
-        return found
-
-    def at_bound(self, i: int) -> bool:
-        """Tell whether the total of a term's number is 0, the least that it may be.
-
-        Parameters
-        ----------
-        i : int
-            The term's index.
-
-        Returns
-        -------
-        bool
-        """
-        lowest = self.fitter.terms[i].lowest
-        return bool(self.solution.sizes[i] <= lowest + 1e-6 * abs(lowest))
-
-    def is_certain_gain(self, certain: float) -> bool:
-        """Tell whether the gain of all drives is known to be wrong.
-
-        Parameters
-        ----------
-        certain : float
-            Standard errors that it must be away from 0.
-
-        Returns
-        -------
-        bool
-            Also where it is not among the numbers.
-        """
-        if GAIN not in self.solution.chosen:
-            return True
-        error = float(self.errors[0]) / self.solution.beta**2
-        return abs(self.solution.gain) > certain * error
-
-    def with_own_gain(self) -> "Missing":
-        """Fit all other numbers again with the drives' gain as the model has it.
-
-        Returns
-        -------
-        Missing
-            With the standard errors of the rows alone.
-        """
-        solution = self.fitter.refined(self.without(GAIN))
-        errors = np.sqrt(np.diagonal(self.fitter.covariance(solution)))
-        return replace(self, solution=solution, errors=errors)
-
-    def certain_numbers(self, certain: float) -> int:
-        """Count the terms, and the payload, that are certain.
-
-        Parameters
-        ----------
-        certain : float
-            Standard errors that a number must be away from 0.
-
-        Returns
-        -------
-        int
-            Without the gain and the delay of all drives.
-        """
-        solution = self.solution
-        first = int(GAIN in solution.chosen)
-        count = 0
-        for i, error in zip(solution.terms, self.errors[first:].tolist(), strict=False):
-            least = max(self.fitter.terms[i].least, certain * error)
-            count += not self.at_bound(i) and abs(float(solution.sizes[i])) > least
-        if solution.payload is not None:
-            error = float(self.errors[first + len(solution.terms)])
-            count += solution.payload.mass > certain * error
-        return count
-
-    def doubtful(self, certain: float) -> int | str | None:
-        """Find the least certain number, if it is not certain.
-
-        The gain of all drives and the laws of several joints are none: left out, others would make
-        up for them.
-
-        Parameters
-        ----------
-        certain : float
-            Standard errors within which of 0 a number is not certain.
-
-        Returns
-        -------
-        int or None
-            The term's index; None where all are certain.
-        """
-        solution = self.solution
-        errors = self.errors.tolist()
-        ratios: dict[int | str, float] = {}
-        if GAIN in solution.chosen:
-            # It stays free: were it left out, all other numbers would be off by its factor.
-            errors.pop(0)
-        laws = self.chooser.of_laws(solution)
-        for i in solution.terms:
-            ratio = abs(float(solution.sizes[i])) / errors.pop(0)
-            if i not in laws:
-                ratios[i] = ratio
-        least = min(ratios, key=lambda index: ratios[index], default=None)
-        return None if least is None or ratios[least] > certain else least
-
-    def without(self, index: int | str) -> Solution:
-        """Take out one of the numbers, the rest as it is.
-
-        Parameters
-        ----------
-        index : int or str
-            A term's index, `GAIN`, "delay" or "payload".
-
-        Returns
-        -------
-        Solution
-            Without it; of the delay, with that of the model's own simulation.
-        """
-        solution = self.solution
-        if index == "delay":
-            return replace(solution, delay=self.fitter.own_delay)
-        if index == "payload":
-            return replace(solution, payload=None)
-        sizes = solution.sizes.copy()
-        if index != GAIN:
-            sizes[int(index)] = 0.0
-        gain = 0.0 if index == GAIN else solution.gain
-        chosen = tuple(i for i in solution.chosen if i != index)
-        return replace(solution, chosen=chosen, sizes=sizes, gain=gain)
-
-    def gain_without(self, index: int | str) -> tuple[float, float]:
-        """Compute what a number gains on data held out.
-
-        Everything is fitted again without each fold in turn.
-
-        Parameters
-        ----------
-        index : int or str
-            A term's index, `GAIN`, "delay" or "payload".
-
-        Returns
-        -------
-        gain, error : float
-            The gain and its standard error by blocks [nats per row of the equation].
-        """
-        without = self.without(index)
-        # The tables of blocks depend on the delay, not on what is chosen.
-        tables = self.chooser.tables(without) if index == "delay" else self._tables
-        gains = 0.5 * (self.chooser.held_out(without, tables) - self._held_out)
-        rows = len(self.fitter.equation)
-        return float(gains.sum()) / rows, float(gains.std(ddof=1) * np.sqrt(len(gains))) / rows
-
-    @cached_property
-    def _tables(self) -> BlockTables:
-        """The tables of the blocks for all numbers."""
-        return self.chooser.tables(self.solution)
-
-    @cached_property
-    def _held_out(self) -> Array:
-        """(B,) the squared error of each block held out, with all numbers."""
-        return self.chooser.held_out(self.solution, self._tables)
-
-    def left_without(self, index: int | str) -> float:
-        """Compute what is left without a number, the others fitted again.
-
-        Parameters
-        ----------
-        index : int or str
-            A term's index, `GAIN`, "delay" or "payload".
-
-        Returns
-        -------
-        float
-            RMS of the forces that are left, as a fraction of the drives'.
-        """
-        return self._left(self.fitter.solve(self.without(index)))
-
-    def alternatives(self, index: int | str, similarity: float) -> tuple[Alternative, ...]:
-        """Find what has the same forces as a number, with all other numbers projected out.
-
-        Parameters
-        ----------
-        index : int or str
-            A term's index, `GAIN`, "delay" or "payload".
-        similarity : float
-            Cosine of the two forces above which data cannot tell them apart.
-
-        Returns
-        -------
-        tuple of Alternative
-            The most similar first; none of a delay or a payload, which are not linear.
-        """
-        if index in ("delay", "payload"):
-            return ()
-        fitter = self.fitter
-        chosen = self.solution.chosen
-        count = len(fitter.terms)
-        # The gain's column comes last, so that GAIN is its index too.
-        terms = fitter.columns_at(self.solution.delay, range(count))
-        columns = np.concatenate([terms, fitter.equation.needed[:, :, None]], axis=2)
-        columns = (columns * self.solution.weights[:, :, None]).reshape(-1, count + 1)
-        others = [i for i in chosen if i != index]
-        basis = np.linalg.qr(columns[:, others])[0] if others else np.zeros((len(columns), 0))
-        left = columns - basis @ (basis.T @ columns)
-        size = np.linalg.norm(left, axis=0)
-        size = np.where(size > 1e-6 * np.linalg.norm(columns, axis=0), size, np.inf)
-        cosines = np.abs(left.T @ left[:, int(index)]) / (size * size[int(index)])
-        cosines[list(chosen)] = 0.0
-        found = []
-        for i in np.argsort(-cosines).tolist():
-            if cosines[i] <= similarity:
-                break
-            place = ("actuator_gain", None, "")
-            if i < count:
-                term = fitter.terms[i]
-                place = (term.effect, term.target, term.variant)
-            found.append(Alternative(*place, why=f"similarity {cosines[i]:.3f}"))
-        return tuple(found)
-
-    def rivals(self, effect: str) -> tuple[Alternative, ...]:
-        """Name the body whose inertial numbers explain as much as a payload and gains together.
-
-        Parameters
-        ----------
-        effect : str
-            What was found.
-
-        Returns
-        -------
-        tuple of Alternative
-            None where it is neither a payload nor a gain, or nothing explains as much.
-        """
-        rival = self.chooser.rival
-        if rival is None or effect not in ("payload", "actuator_gain"):
-            return ()
-        terms = [self.fitter.terms[i] for i in rival.terms]
-        heavier = next(term for term in terms if term.family == "mass")
-        why = "payload and gains together act like a heavier body, with its centre and inertia"
-        return (Alternative(heavier.effect, heavier.target, heavier.variant, why=why),)
-
-
 def estimate_missing(
     problem: Problem, trajectories: Trajectories, settings: QuickSettings
 ) -> Missing:
@@ -784,10 +417,11 @@ def estimate_missing(
     )
     wide = _fitter(simulator, wide_equation, settings)
     chooser = Chooser(fitter, settings.choice)
-    solution = chooser.run()
+    solution = most_plausible(fitter, chooser.run(), settings.similarity, settings.plausibility)
+    bodies = [name for _, name in moving_bodies(simulator.model)]
     while True:
         errors = _errors(simulator, fitter, wide, solution, settings)
-        found = Missing(fitter, chooser, solution, errors, settings.large)
+        found = Missing(fitter, chooser, solution, errors, settings.large, bodies)
         doubtful = found.doubtful(settings.certain)
         if doubtful is None:
             return found
@@ -805,13 +439,13 @@ def _errors(
 
     wide: the same equation with wider kernels.
     """
-    values = _values(solution)
+    values = values_of(solution)
     by_rows = np.maximum(np.diag(fitter.covariance(solution)), 0.0)
     moved = np.full(len(values), np.inf)
     if [term.label for term in wide.terms] == [term.label for term in fitter.terms]:
         own = wide.start(solution.chosen)
         again = replace(solution, weights=own.weights, spread=own.spread)
-        moved = _values(wide.refined(wide.solve(again))) - values
+        moved = values_of(wide.refined(wide.solve(again))) - values
     step = np.zeros(len(values))
     offset = 1 if GAIN in solution.chosen else 0
     for place, i in enumerate(solution.terms):
@@ -843,7 +477,7 @@ def _with_bias(
         return estimate
     own = fitter.start(solution.chosen)
     begun = replace(solution, weights=own.weights, spread=own.spread)
-    bias = _values(fitter.refined(fitter.solve(begun))) - _values(solution)
+    bias = values_of(fitter.refined(fitter.solve(begun))) - values_of(solution)
     return replace(estimate, errors=np.hypot(estimate.errors, bias))
 
 
@@ -858,11 +492,11 @@ def _with_scale(estimate: Missing, settings: QuickSettings) -> Missing:
     if float(estimate.errors[0]) > solution.beta:
         # Any gain would do: all numbers are those of the model's own.
         estimate = estimate.with_own_gain()
-        return _with_scale_error(estimate, np.abs(_values(estimate.solution)), settings)
+        return _with_scale_error(estimate, np.abs(values_of(estimate.solution)), settings)
     alike = estimate.alternatives(GAIN, settings.same)
     if not any(one.effect == "joint_armature" for one in alike):
         return estimate
-    sizes = np.abs(_values(solution))
+    sizes = np.abs(values_of(solution))
     sizes[0] = 0.0  # the gain is one of those that are not told apart, and says so
     return _with_scale_error(estimate, sizes, settings)
 
@@ -973,12 +607,3 @@ def _fitter(simulator: RobotSimulator, equation: Equation, settings: QuickSettin
     reaches = [settings.reach * extent(model, body) for body, _ in moving_bodies(model)]
     terms: list[Term] = terms_of(simulator, equation)
     return Fitter(equation, terms, reaches, moving_mass(model), settings.fit)
-
-
-def _values(solution: Solution) -> Array:
-    """(k,) the numbers in the order of their covariance."""
-    values = [solution.beta] if GAIN in solution.chosen else []
-    values += solution.sizes[solution.terms].tolist()
-    if solution.payload is not None:
-        values += [solution.payload.mass, *solution.payload.place.tolist()]
-    return np.array([*values, solution.delay])

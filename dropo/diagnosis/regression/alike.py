@@ -1,0 +1,141 @@
+"""Which other numbers have the same forces as one that was found, all others fitted again."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from dropo.core.services.validation import Array
+from dropo.diagnosis.regression.fit import Fitter, Solution
+from dropo.diagnosis.regression.terms import INERTIAL
+from dropo.diagnosis.search.plausibility import Plausibility
+
+WORSE = 0.02
+"""Fraction by which the spread of what is left may grow by an exchange for a likelier number."""
+
+
+def term_similarities(fitter: Fitter, solution: Solution, index: int) -> Array:
+    """Compute the cosines of the forces of terms and of one of the numbers.
+
+    Parameters
+    ----------
+    fitter : Fitter
+        The equation and its K terms.
+    solution : Solution
+        The numbers, which are all projected out but for the one.
+    index : int
+        A term's index, or `GAIN`.
+
+    Returns
+    -------
+    (K + 1,) array
+        Of each term, and of the gain of all drives, which comes last; 0 of what is in the solution.
+    """
+    count = len(fitter.terms)
+    # The gain's column comes last, so that GAIN is its index too.
+    terms = fitter.columns_at(solution.delay, range(count))
+    columns = np.concatenate([terms, fitter.equation.needed[:, :, None]], axis=2)
+    columns = (columns * solution.weights[:, :, None]).reshape(-1, count + 1)
+    others = [i for i in solution.chosen if i != index]
+    basis = np.linalg.qr(columns[:, others])[0] if others else np.zeros((len(columns), 0))
+    left = columns - basis @ (basis.T @ columns)
+    size = np.linalg.norm(left, axis=0)
+    size = np.where(size > 1e-6 * np.linalg.norm(columns, axis=0), size, np.inf)
+    cosines = np.abs(left.T @ left[:, index]) / (size * size[index])
+    cosines[list(solution.chosen)] = 0.0
+    return np.asarray(cosines)
+
+
+def payload_similarities(fitter: Fitter, solution: Solution, without: Solution) -> dict[int, float]:
+    """Compare one of the numbers with a payload on each body in its place.
+
+    Parameters
+    ----------
+    fitter : Fitter
+        The equation.
+    solution : Solution
+        The numbers.
+    without : Solution
+        The same without the one, and without any payload.
+
+    Returns
+    -------
+    dict of int to float
+        By the body's place among the moving ones, the square root of what its payload explains as a
+        fraction of what the number does: the cosine of their forces where both are linear. Bodies
+        on which no payload explains anything are left out, and the payload's own.
+    """
+    without = fitter.refined(fitter.solve(without))
+    present = _squares(fitter, solution, solution.weights)
+    explained = _squares(fitter, without, solution.weights) - present
+    found = {}
+    for body in range(len(fitter.equation.by_inertia)):
+        if solution.payload is not None and solution.payload.body == body:
+            continue
+        loaded = fitter.refined(fitter.solve(fitter.loaded(without, (body,))))
+        if loaded.payload is None or not 0 < loaded.payload.mass < fitter.heaviest:
+            continue
+        lost = _squares(fitter, loaded, solution.weights) - present
+        if explained > 0 and lost < explained:
+            found[body] = float(np.sqrt(min(1.0, 1.0 - lost / explained)))
+    return found
+
+
+def _squares(fitter: Fitter, solution: Solution, weights: Array) -> float:
+    """The weighted sum of the squares of what is left."""
+    return float(np.sum((fitter.residuals(solution) * weights) ** 2))
+
+
+def most_plausible(
+    fitter: Fitter, solution: Solution, similarity: float, plausibility: Plausibility
+) -> Solution:
+    """Exchange numbers for those of the same forces that machines rather have.
+
+    Parameters
+    ----------
+    fitter : Fitter
+        The equation and its terms.
+    solution : Solution
+        The numbers.
+    similarity : float
+        Cosine of two forces above which data cannot tell them apart.
+    plausibility : Plausibility
+        How usual each effect is.
+
+    Returns
+    -------
+    Solution
+        Of the same size, where no term could be exchanged for a more usual one.
+    """
+    rows = float(fitter.equation.used.sum())
+    for i in solution.terms:
+        if _is_beside_mass(fitter, solution, i):
+            continue
+        own = plausibility.of(fitter.terms[i].effect)
+        cosines = term_similarities(fitter, solution, i)[:-1]
+        for k in np.argsort(-cosines).tolist():
+            if cosines[k] <= similarity:
+                break
+            if plausibility.of(fitter.terms[k].effect) <= own:
+                continue
+            chosen = tuple(k if one == i else one for one in solution.chosen)
+            begun = replace(solution, chosen=chosen, sizes=_without(solution.sizes, i))
+            other = fitter.refined(fitter.solve(begun))
+            free = other.sizes[k] > fitter.terms[k].lowest
+            if free and fitter.badness(other) < fitter.badness(solution) + WORSE * rows:
+                solution = other
+                break
+    return solution
+
+
+def _is_beside_mass(fitter: Fitter, solution: Solution, i: int) -> bool:
+    """Whether a term is the centre or inertia of a body whose mass is among the numbers, too."""
+    terms = fitter.terms
+    heavy = {terms[k].target for k in solution.terms if terms[k].family == "mass"}
+    return terms[i].family in INERTIAL and terms[i].target in heavy
+
+
+def _without(sizes: Array, i: int) -> Array:
+    """The sizes with a 0 in one place."""
+    sizes = sizes.copy()
+    sizes[i] = 0.0
+    return sizes
