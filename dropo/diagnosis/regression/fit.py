@@ -44,6 +44,10 @@ class FitSettings:
         Number of times that rows are weighted anew in a linear solve.
     steps : int
         Number of Gauss-Newton steps when all numbers are fitted together.
+    halvings : int
+        How often a step is halved that leaves more than before.
+    rise : float
+        Fraction by which the spread of what is left may grow all the same, as weights change.
     places : ClosingGridSettings
         Where a payload is tried.
     misfit : float
@@ -54,6 +58,8 @@ class FitSettings:
     huber: float = 2.5
     weightings: int = 3
     steps: int = 10
+    halvings: int = 4
+    rise: float = 0.001
     places: ClosingGridSettings = GRID
     misfit: float = 0.01
 
@@ -450,12 +456,23 @@ class Fitter:
         Solution
             After the settings' number of steps, with weights from what is left.
         """
+        allowed = self.settings.rise * float(self.equation.used.sum())
+        jacobian, residuals = self._linearized(solution)
+        solution = self._reweighted(solution, residuals)
         for _ in range(self.settings.steps):
-            jacobian, residuals = self._linearized(solution)
-            solution = self._reweighted(solution, residuals)
             gram, moments = _normal_equations(jacobian, residuals, solution.weights)
-            solution = self._moved(solution, bounded(gram, moments, self._step_bounds(solution)))
-        return self._reweighted(solution, self._linearized(solution)[1])
+            steps = bounded(gram, moments, *self._step_bounds(solution))
+            for _ in range(self.settings.halvings + 1):
+                moved = self._moved(solution, steps)
+                jacobian, residuals = self._linearized(moved)
+                moved = self._reweighted(moved, residuals)
+                if self.badness(moved) <= self.badness(solution) + allowed:
+                    break
+                steps = steps / 2
+            else:
+                return solution
+            solution = moved
+        return solution
 
     def badness(self, solution: Solution) -> float:
         """Add up the logarithms of what is left at the joints, each over its rows.
@@ -516,31 +533,41 @@ class Fitter:
         residuals = self.drives(solution.delay) - factors * needed
         return np.concatenate(parts, axis=2), residuals
 
-    def _step_bounds(self, solution: Solution) -> Array:
-        """(k,) the lowest steps of the numbers."""
+    def _step_bounds(self, solution: Solution) -> tuple[Array, Array]:
+        """(k,) the lowest and the highest steps of the numbers; no payload leaves its reach."""
         lowest = [LEAST_BETA - solution.beta] if GAIN in solution.chosen else []
         lowest += [self.terms[i].lowest - solution.sizes[i] for i in solution.terms]
-        if solution.payload is not None:
-            longest = 0.2 * self.reaches[solution.payload.body]
-            lowest += [-solution.payload.mass, -longest, -longest, -longest]
-        lowest.append(self.equation.delays[0] - solution.delay)
-        return np.array(lowest)
+        highest = [np.inf] * len(lowest)
+        payload = solution.payload
+        if payload is not None:
+            reach = self.reaches[payload.body]
+            lowest += [-payload.mass / 2, *(-reach - payload.place).tolist()]
+            highest += [np.inf, *(reach - payload.place).tolist()]
+        first, last = self.equation.delays[[0, -1]].tolist()
+        lowest.append(first - solution.delay)
+        highest.append(last - solution.delay)
+        return np.array(lowest), np.array(highest)
 
-    def _moved(self, solution: Solution, step: Array) -> Solution:
-        """The solution after a step of its numbers."""
-        values = step.tolist()
+    def _moved(self, solution: Solution, steps: Array) -> Solution:
+        """The solution after steps of its numbers, all shorter where a payload would go far."""
+        payload = solution.payload
+        if payload is not None:
+            # Forces are linear in mass and moment, which steps of mass and place are one of.
+            farther = payload.mass / max(payload.mass + steps[-5], 1e-300)
+            longest = farther * float(np.abs(steps[-4:-1]).max())
+            steps = steps * min(1.0, 0.2 * self.reaches[payload.body] / max(longest, 1e-300))
+        values = steps.tolist()
         beta = solution.beta
         if GAIN in solution.chosen:
             beta = max(beta + values.pop(0), LEAST_BETA)
         sizes = solution.sizes.copy()
         for i in solution.terms:
             sizes[i] += values.pop(0)
-        payload = solution.payload
         if payload is not None:
             reach = self.reaches[payload.body]
-            mass = payload.mass + values.pop(0)
-            moved = payload.place + np.clip(values[:3], -0.2 * reach, 0.2 * reach)
-            payload = Payload(payload.body, mass, np.clip(moved, -reach, reach))
+            mass = payload.mass + values[0]
+            place = payload.place + steps[-4:-1] * payload.mass / max(mass, 1e-300)
+            payload = Payload(payload.body, mass, np.clip(place, -reach, reach))
         delay = float(np.clip(solution.delay + values[-1], *self.equation.delays[[0, -1]]))
         return replace(solution, gain=1 / beta - 1, sizes=sizes, payload=payload, delay=delay)
 
@@ -611,32 +638,37 @@ def root_mean_square(values: Array) -> Array:
     return np.asarray(np.sqrt(total / np.maximum(there.sum(axis=0), 1)))
 
 
-def bounded(gram: Array, moments: Array, lowest: Array) -> Array:
-    """Minimize x' gram x - 2 moments' x with lower bounds, by an active set.
+def bounded(gram: Array, moments: Array, lowest: Array, highest: Array | None = None) -> Array:
+    """Minimize x' gram x - 2 moments' x with bounds, by an active set.
 
     Parameters
     ----------
     gram : (k, k) array
         Positive semidefinite.
     moments, lowest : (k,) arrays
-        The linear term, and the bounds; -inf where there is none.
+        The linear term, and the lower bounds; -inf where there is none.
+    highest : (k,) array, optional
+        The upper bounds; inf where there is none.
 
     Returns
     -------
     (k,) array
     """
+    if highest is None:
+        highest = np.full(len(moments), np.inf)
     at_bound = np.zeros(len(moments), dtype=bool)
+    found = np.zeros(len(moments))
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     while True:
         free = ~at_bound
-        found = np.where(at_bound, lowest, 0.0)
         if free.any():
             rows = np.flatnonzero(free)
             own = gram[rows[:, None], rows] / np.outer(scale[free], scale[free])
-            aim = moments - gram[:, at_bound] @ lowest[at_bound]
+            aim = moments - gram[:, at_bound] @ found[at_bound]
             own.flat[:: len(own) + 1] += 1e-10
             found[free] = np.linalg.solve(own, aim[free] / scale[free]) / scale[free]
-        below = free & (found < lowest - 1e-12)
-        if not below.any():
+        outside = free & ((found < lowest - 1e-12) | (found > highest + 1e-12))
+        if not outside.any():
             return found
-        at_bound |= below
+        found[outside] = np.clip(found, lowest, highest)[outside]
+        at_bound |= outside
