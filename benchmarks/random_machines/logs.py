@@ -111,9 +111,20 @@ class _Mover:
                 mujoco.mj_step(self.model, self.data)
             positions.append(self.data.qpos.copy())
         moved = np.array(positions)
-        if not (np.abs(moved) < FARTHEST).all():
+        if not (np.abs(moved) < FARTHEST).all() or self._is_reset():
             raise Lost("the machine runs away")
         return moved, np.array(commands)
+
+    def _is_reset(self) -> bool:
+        """Whether MuJoCo began anew where accelerations became too large."""
+        return any(
+            self.data.warning[kind].number > 0
+            for kind in (
+                mujoco.mjtWarning.mjWARN_BADQPOS,
+                mujoco.mjtWarning.mjWARN_BADQVEL,
+                mujoco.mjtWarning.mjWARN_BADQACC,
+            )
+        )
 
     def _command(self, position: Array, speed: Array) -> Array:
         """(nu,) what the drives are told where a posture and its speed are wanted."""

@@ -35,6 +35,7 @@ from dropo.diagnosis.findings.causes import causes, covariance_of, suspects
 from dropo.diagnosis.findings.figures import figure_data
 from dropo.diagnosis.findings.limits.detectable import Detectable, detectable
 from dropo.diagnosis.findings.limits.not_identifiable import undetermined
+from dropo.diagnosis.findings.premises.chattering import chattering_sentences
 from dropo.diagnosis.findings.premises.miswired import miswired
 from dropo.diagnosis.findings.premises.still import Held, hold_still
 from dropo.diagnosis.findings.remains.disturbances import left_out, outlier_runs
@@ -489,6 +490,7 @@ class Diagnose:
             motion=motion(data, library, first, last, fitted, with_causes),
             warnings=(
                 *data.warnings,
+                *chattering_sentences(data),
                 *setup.warnings_of(last),
                 *not_white(library, last, data.estimated),
                 *beyond,

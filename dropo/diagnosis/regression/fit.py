@@ -458,21 +458,25 @@ class Fitter:
         """
         allowed = self.settings.rise * float(self.equation.used.sum())
         jacobian, residuals = self._linearized(solution)
-        solution = self._reweighted(solution, residuals)
+        solution = best = self._reweighted(solution, residuals)
         for _ in range(self.settings.steps):
             gram, moments = _normal_equations(jacobian, residuals, solution.weights)
             steps = bounded(gram, moments, *self._step_bounds(solution))
-            for _ in range(self.settings.halvings + 1):
-                moved = self._moved(solution, steps)
-                jacobian, residuals = self._linearized(moved)
-                moved = self._reweighted(moved, residuals)
+            tried = []
+            for shorter in range(self.settings.halvings + 1):
+                moved = self._moved(solution, steps / 2**shorter)
+                tried.append((moved, *self._linearized(moved)))
+                moved = self._reweighted(moved, tried[-1][2])
                 if self.badness(moved) <= self.badness(solution) + allowed:
                     break
-                steps = steps / 2
             else:
-                return solution
+                # Weights that change may be why: the whole step is as good as none.
+                moved = self._reweighted(tried[0][0], tried[0][2])
+                tried.append(tried[0])
             solution = moved
-        return solution
+            _, jacobian, residuals = tried[-1]
+            best = min(best, solution, key=self.badness)
+        return solution if self.badness(solution) <= self.badness(best) + allowed else best
 
     def badness(self, solution: Solution) -> float:
         """Add up the logarithms of what is left at the joints, each over its rows.
@@ -656,9 +660,11 @@ def bounded(gram: Array, moments: Array, lowest: Array, highest: Array | None = 
     """
     if highest is None:
         highest = np.full(len(moments), np.inf)
-    at_bound = np.zeros(len(moments), dtype=bool)
-    found = np.zeros(len(moments))
-    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    sizes = np.diag(gram)
+    scale = np.sqrt(np.maximum(sizes, 1e-300))
+    # What moves nothing but by rounding stays where it is.
+    at_bound = sizes <= max(1e-30 * float(sizes.max(initial=0.0)), 1e-300)
+    found = np.clip(np.zeros(len(moments)), lowest, highest)
     while True:
         free = ~at_bound
         if free.any():

@@ -18,6 +18,7 @@ from dropo.core.numerics.tails import student_tail
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import BadArgument
 from dropo.core.services.validation import Array, require
+from dropo.diagnosis.findings.premises.chattering import chattering_sentences
 from dropo.diagnosis.findings.premises.still import still_sentences
 from dropo.diagnosis.findings.to_type import to_type
 from dropo.diagnosis.parts import Cause, Estimate
@@ -169,9 +170,11 @@ class QuickDiagnose:
         estimate = _with_scale(estimate, self.settings)
         numbers = estimate.numbers(simulator, self.settings.certain)
         unknown = [number.label for number in numbers if number.unknown]
-        causes = self._causes(numbers, estimate)
+        chattering = chattering_sentences(problem)
+        causes = [] if chattering else self._causes(numbers, estimate)
         still = still_sentences(problem)
-        warnings = [*problem.warnings, *still, *_warnings(simulator, estimate, bool(causes))]
+        warnings = [*problem.warnings, *still, *chattering]
+        warnings += _warnings(simulator, estimate, bool(causes))
         if free and GAIN not in estimate.solution.chosen:
             warnings.append(
                 "No motion tells the scale of all forces: the drives' gain is taken as it is."
@@ -198,7 +201,7 @@ class QuickDiagnose:
             faults = ()
         extended = _extended(problem, estimate) if causes else problem
         friction = None
-        if not (faults or unknown):
+        if not (faults or unknown or chattering):
             own = robot_of(extended).without_parameters()
             friction = self._friction(own, fitted, estimate)
             simulator.steps += own.steps
@@ -213,7 +216,9 @@ class QuickDiagnose:
             )
         return QuickDiagnosis(
             name=problem.name,
-            verdict=self._verdict(causes, forces, by_smoothing, bool(faults or unknown)),
+            verdict=self._verdict(
+                causes, forces, by_smoothing, bool(faults or unknown or chattering)
+            ),
             causes=tuple(causes),
             faults=faults,
             forces=forces,
