@@ -2,9 +2,11 @@
 beside bare rollout.
 """
 
+import ast
 import json
 import re
 import subprocess
+import sys
 import time
 
 import numpy as np
@@ -312,3 +314,17 @@ def test_runs_of_a_diagnosis_are_kept(tmp_path, monkeypatch, capsys):
     assert "hopper, one: 2 runs, median 100 steps, 1.0 s of processor time" in text
     assert "| screening | 100 | 100% | 100 | 5% | 0.50 |" in text
     assert readme.numbers_in(text)["hopper, one"]["stages"] == {"screening": 1.0}
+
+
+def test_a_machine_of_random_shape_is_diagnosed():
+    """Friction beside velocity servos whose forces are noisy: no gain that shrinks all of them.
+
+    A machine that rules may be chosen on; nothing else is named, and its size is right.
+    """
+    command = [sys.executable, str(readme.README.parent / "random_machines"), "1", "66"]
+    printed = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    (answer,) = re.findall(r"^66 (\{.*\})$", printed, flags=re.MULTILINE)
+    found = ast.literal_eval(answer)
+    assert found["hidden"] == [["joint_damping", "joint0"]]
+    assert found["right"]
+    assert re.search(r"^all +1 +1 ", printed, flags=re.MULTILINE)

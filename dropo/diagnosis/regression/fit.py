@@ -458,25 +458,21 @@ class Fitter:
         """
         allowed = self.settings.rise * float(self.equation.used.sum())
         jacobian, residuals = self._linearized(solution)
-        solution = best = self._reweighted(solution, residuals)
+        solution = self._reweighted(solution, residuals)
         for _ in range(self.settings.steps):
             gram, moments = _normal_equations(jacobian, residuals, solution.weights)
             steps = bounded(gram, moments, *self._step_bounds(solution))
-            tried = []
-            for shorter in range(self.settings.halvings + 1):
-                moved = self._moved(solution, steps / 2**shorter)
-                tried.append((moved, *self._linearized(moved)))
-                moved = self._reweighted(moved, tried[-1][2])
+            for _ in range(self.settings.halvings + 1):
+                moved = self._moved(solution, steps)
+                jacobian, residuals = self._linearized(moved)
+                moved = self._reweighted(moved, residuals)
                 if self.badness(moved) <= self.badness(solution) + allowed:
                     break
+                steps = steps / 2
             else:
-                # Weights that change may be why: the whole step is as good as none.
-                moved = self._reweighted(tried[0][0], tried[0][2])
-                tried.append(tried[0])
+                return solution
             solution = moved
-            _, jacobian, residuals = tried[-1]
-            best = min(best, solution, key=self.badness)
-        return solution if self.badness(solution) <= self.badness(best) + allowed else best
+        return solution
 
     def badness(self, solution: Solution) -> float:
         """Add up the logarithms of what is left at the joints, each over its rows.

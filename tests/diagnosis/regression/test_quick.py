@@ -232,6 +232,36 @@ def wrong_body(change):
     return problem_of("one body", model, data)
 
 
+def loaded_at(share):
+    """The diagnosis of an arm with 0.4 kg on its second link, at a share of the way to the third.
+
+    Beyond 1 it is the third link's.
+    """
+
+    def change(spec):
+        last = spec.body("body2")
+        body = spec.body("body1") if share <= 1 else last
+        place = last.pos * (share if share <= 1 else share - 1)
+        load = body.add_body(name="load", pos=place)
+        load.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.01, 0, 0], mass=0.4)
+
+    return QuickDiagnose().run(wrong_body(change))
+
+
+def test_a_payload_on_an_axis_may_be_the_next_links():
+    """On the axis between two links it is the one's as well as the other's: both are told.
+
+    The control: in the middle of the last link it is none of the others'.
+    """
+    (cause,) = loaded_at(1.0).causes
+    others = {one.target for one in cause.confused_with if one.effect == "payload"}
+    assert cause.effect == "payload"
+    assert {cause.target, *others} >= {"body1", "body2"}
+    (cause,) = loaded_at(1.5).causes
+    assert (cause.effect, cause.target) == ("payload", "body2")
+    assert not [one for one in cause.confused_with if one.effect == "payload"]
+
+
 def test_a_wrong_centre_of_mass_is_no_payload():
     """Nor a gain beside springs: the numbers of one body explain as much by themselves."""
 

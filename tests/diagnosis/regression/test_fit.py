@@ -1,0 +1,69 @@
+"""Numbers of the equation of motion are fitted within their bounds, and never for the worse."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dropo.diagnosis.regression.fit import Payload, bounded
+from dropo.diagnosis.regression.quick import QuickSettings, estimate_missing
+from dropo.diagnosis.regression.readings import sides
+from tests.models.first_models import problem_with
+
+
+@pytest.fixture(scope="module")
+def estimate():
+    """What an arm of three joints lacks, a payload among it."""
+    settings = QuickSettings()
+    _, problem = problem_with("arm, 3 joints", np.random.default_rng(11))
+    fitted, _ = sides(problem, settings.checked)
+    return estimate_missing(problem, fitted, settings)
+
+
+def test_fitting_all_together_leaves_no_more_than_before(estimate):
+    """From payloads of any weight anywhere on any body."""
+    fitter = estimate.fitter
+    rng = np.random.default_rng(0)
+    most = fitter.settings.steps * fitter.settings.rise * float(fitter.equation.used.sum())
+    for _ in range(30):
+        body = int(rng.integers(len(fitter.reaches)))
+        place = fitter.reaches[body] * rng.uniform(-1, 1, 3)
+        payload = Payload(body, float(rng.uniform(0.02, 2.0)), place)
+        begun = fitter.delayed(replace(estimate.solution, payload=payload))
+        first = replace(fitter.settings, steps=0)
+        before = fitter.badness(replace(fitter, settings=first).refined(begun))
+        after = fitter.refined(begun)
+        assert fitter.badness(after) <= before + most
+        assert np.all(np.abs(after.payload.place) <= fitter.reaches[body])
+        assert after.payload.mass >= 0
+
+
+def test_the_best_place_is_found_from_places_beside_it(estimate):
+    """From up to 0.1 m beside it along each axis."""
+    fitter = estimate.fitter
+    rng = np.random.default_rng(2)
+    best = estimate.solution.payload
+    found = []
+    for _ in range(10):
+        begun = replace(best, place=best.place + rng.uniform(-0.1, 0.1, 3))
+        found.append(fitter.refined(replace(estimate.solution, payload=begun)))
+    places = np.array([one.payload.place for one in found])
+    assert np.sum(np.abs(places - best.place).max(axis=1) < 0.005) >= 9
+
+
+def test_bounds_hold_and_what_moves_nothing_stays():
+    """The free numbers are the least-squares solution beside those at a bound."""
+    rng = np.random.default_rng(1)
+    columns = rng.normal(size=(50, 4))
+    columns[:, 3] = 0.0
+    target = columns[:, :3] @ np.array([1.0, -2.0, 3.0]) + 0.1 * rng.normal(size=50)
+    lowest = np.array([-np.inf, -1.0, -np.inf, -1.0])
+    highest = np.array([np.inf, np.inf, 2.0, 1.0])
+    found = bounded(columns.T @ columns, columns.T @ target, lowest, highest)
+    np.testing.assert_array_equal(found[1:], [-1.0, 2.0, 0.0])
+    alone = columns[:, 0]
+    left = target - columns[:, 1:3] @ found[1:3]
+    np.testing.assert_allclose(found[0], alone @ left / (alone @ alone), rtol=1e-8)
+    free = bounded(columns.T @ columns, columns.T @ target, np.full(4, -np.inf))
+    expected = np.linalg.lstsq(columns[:, :3], target, rcond=None)[0]
+    np.testing.assert_allclose(free[:3], expected, rtol=1e-8)
