@@ -201,7 +201,7 @@ class Chooser:
 
     def _has_inertia(self, solution: Solution) -> bool:
         """Whether a body's inertial numbers are among the terms."""
-        return any(self.fitter.terms[i].family in INERTIAL for i in solution.terms)
+        return self._are_inertial(solution.chosen)
 
     def _of_bodies(self) -> list[Group]:
         """The inertial numbers of each body."""
@@ -498,11 +498,19 @@ class Chooser:
         """Whether terms would free the scale of the masses a second time.
 
         The scale of masses and that of forces are one number: a gain, a payload or a mass fixes it.
+        Where a drive's gain and a body's numbers are free, noise of its force is least without it.
         """
-        terms = self.fitter.terms
-        inertial = any(i != GAIN and terms[i].family in INERTIAL for i in new)
-        gains = GAIN in solution.chosen or any(terms[i].family == OWN_GAIN for i in solution.terms)
-        return inertial and (gains or solution.payload is not None)
+        if self._are_inertial(new):
+            return self._are_gains(solution.chosen) or solution.payload is not None
+        return self._are_gains(new) and self._has_inertia(solution)
+
+    def _are_inertial(self, chosen: Group) -> bool:
+        """Whether a body's inertial numbers are among some terms."""
+        return any(i != GAIN and self.fitter.terms[i].family in INERTIAL for i in chosen)
+
+    def _are_gains(self, chosen: Group) -> bool:
+        """Whether the gain of all drives, or one's own, is among some terms."""
+        return any(i == GAIN or self.fitter.terms[i].family == OWN_GAIN for i in chosen)
 
     def certain(self, solution: Solution) -> Solution:
         """Drop the terms that are small, or not certain, when all are fitted together.

@@ -45,9 +45,7 @@ class FitSettings:
     steps : int
         Number of Gauss-Newton steps when all numbers are fitted together.
     halvings : int
-        How often a step is halved that leaves more than before.
-    rise : float
-        Fraction by which the spread of what is left may grow all the same, as weights change.
+        How often a step is tried, half as long each time, that leaves more than before.
     places : ClosingGridSettings
         Where a payload is tried.
     misfit : float
@@ -58,8 +56,7 @@ class FitSettings:
     huber: float = 2.5
     weightings: int = 3
     steps: int = 10
-    halvings: int = 4
-    rise: float = 0.001
+    halvings: int = 5
     places: ClosingGridSettings = GRID
     misfit: float = 0.01
 
@@ -456,23 +453,20 @@ class Fitter:
         Solution
             After the settings' number of steps, with weights from what is left.
         """
-        allowed = self.settings.rise * float(self.equation.used.sum())
         jacobian, residuals = self._linearized(solution)
-        solution = self._reweighted(solution, residuals)
         for _ in range(self.settings.steps):
+            solution = self._reweighted(solution, residuals)
             gram, moments = _normal_equations(jacobian, residuals, solution.weights)
             steps = bounded(gram, moments, *self._step_bounds(solution))
-            for _ in range(self.settings.halvings + 1):
+            before = _weighted_squares(residuals, solution.weights)
+            for _ in range(self.settings.halvings):
                 moved = self._moved(solution, steps)
                 jacobian, residuals = self._linearized(moved)
-                moved = self._reweighted(moved, residuals)
-                if self.badness(moved) <= self.badness(solution) + allowed:
+                if _weighted_squares(residuals, solution.weights) <= before:
                     break
                 steps = steps / 2
-            else:
-                return solution
             solution = moved
-        return solution
+        return self._reweighted(solution, residuals)
 
     def badness(self, solution: Solution) -> float:
         """Add up the logarithms of what is left at the joints, each over its rows.
@@ -618,6 +612,11 @@ def _normal_equations(columns: Array, target: Array, weights: Array) -> tuple[Ar
     """(k, k) weighted Gram matrix of the columns (R, nv, k), and products with the target (k,)."""
     flat = (columns * weights[:, :, None]).reshape(target.size, columns.shape[2])
     return flat.T @ flat, flat.T @ (target * weights).ravel()
+
+
+def _weighted_squares(residuals: Array, weights: Array) -> float:
+    """The sum of the squares of residuals (R, nv), weighted."""
+    return float(np.sum((residuals * weights) ** 2))
 
 
 def root_mean_square(values: Array) -> Array:
