@@ -39,6 +39,9 @@ class ChoiceSettings:
         Force that gains of single drives must explain at some joint beyond what a gain of all
         drives does, as a fraction of the drive's, and a gain that counts as wrong: smoothing makes
         less than that.
+    idle : float
+        A drive that gives less than this fraction of its force explains nothing: what its joint
+        lacks has shrunk together with its noise.
     wald : float
         Smallest square of a term's size, in squares of its standard error, with which it is kept.
     payload : float
@@ -57,6 +60,7 @@ class ChoiceSettings:
     block_z: float = 2.0
     force: float = 0.006
     apart: float = 0.02
+    idle: float = 1 / 3
     wald: float = 16.0
     payload: float = 0.02
     heavier: float = 0.5
@@ -265,13 +269,21 @@ class Chooser:
 
         Of as many things the likelier one is chosen, with a price for each of its numbers.
         """
-        if self._is_large(other, found.spread):
+        if self._is_large(other, found.spread) or self._has_idle_drive(other):
             return False
         fewer = self._candidates_in(found) - self._candidates_in(other)
         if fewer:
             return fewer > 0
         better = self._criterion(other) < self._criterion(found)
         return self._is_large(found, other.spread) or better
+
+    def _has_idle_drive(self, solution: Solution) -> bool:
+        """Whether a drive by itself would give next to nothing."""
+        return any(
+            1 + solution.sizes[i] < self.settings.idle
+            for i in solution.terms
+            if self.fitter.terms[i].family == OWN_GAIN
+        )
 
     def _criterion(self, solution: Solution) -> float:
         """Schwarz's criterion [nats]: the less, the better."""
@@ -303,6 +315,8 @@ class Chooser:
         """
         own = [i for i in apart.terms if self.fitter.terms[i].family == OWN_GAIN]
         weak = [size for size in apart.sizes[own] if abs(size) > self.settings.apart]
+        if self._has_idle_drive(apart):
+            return False
         # Most drives off by the same share are the scale of the masses, or another drive.
         drives = [term for term in self.fitter.terms if term.family == OWN_GAIN]
         alike = bool(weak) and np.ptp(weak) <= self.settings.apart
