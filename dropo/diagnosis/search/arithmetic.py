@@ -217,7 +217,12 @@ class ArithmeticAlternatives:
         known = self._jacobian(state)[:, index]
 
         def fitted(library: Library, begun: LinearizedWindows) -> float:
-            """The log-likelihood of these windows, fitted by what the model fits."""
+            """The log-likelihood of these windows, fitted by what the model fits.
+
+            -inf where all simulations diverge, as explicit steps may.
+            """
+            if begun.lost.all():
+                return -np.inf
             settings = self.selection.refit
             free = state.free
             found = settle(library, begun, free, self.floor, known=known, settings=settings)
