@@ -104,7 +104,7 @@ def most_plausible(
     Returns
     -------
     Solution
-        Of the same size, where no term could be exchanged for a more usual one.
+        The same where no term, and no payload, could be exchanged for a more usual number.
     """
     rows = float(fitter.equation.used.sum())
     for i in solution.terms:
@@ -124,7 +124,25 @@ def most_plausible(
             if free and fitter.badness(other) < fitter.badness(solution) + WORSE * rows:
                 solution = other
                 break
-    return solution
+    return (
+        solution if solution.payload is None else _without_payload(fitter, solution, plausibility)
+    )
+
+
+def _without_payload(fitter: Fitter, solution: Solution, plausibility: Plausibility) -> Solution:
+    """One more usual number in the place of a payload, if one leaves no more than that."""
+    rows = float(fitter.equation.used.sum())
+    best = solution
+    least = fitter.badness(solution) + WORSE * rows
+    for k, term in enumerate(fitter.terms):
+        if k in solution.chosen or plausibility.of(term.effect) <= plausibility.of("payload"):
+            continue
+        begun = replace(solution, payload=None, chosen=(*solution.chosen, k))
+        other = fitter.refined(fitter.solve(begun))
+        if other.sizes[k] > term.lowest and fitter.badness(other) < least:
+            best = other
+            least = fitter.badness(other)
+    return best
 
 
 def _is_beside_mass(fitter: Fitter, solution: Solution, i: int) -> bool:
