@@ -2,6 +2,8 @@
 applied step by step.
 """
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -386,6 +388,21 @@ def test_external_force(name, label, axis):
     model = mujoco.MjModel.from_xml_string(XML[name])
     wrench = (model.body(label.split(":")[1].split(".")[0]).id, 3.0 * np.eye(6)[axis])
     same(robot, predicted(robot, label, 3.0), replay(model, robot, wrench=wrench))
+
+
+def test_a_simulation_that_diverges_does_so_in_silence():
+    """From speeds whose square is no double any more no warning comes, which would be an error."""
+    robot = ROBOTS["arm"]()
+    hidden = instance(robot, "joint_stribeck:shoulder")
+    sizes = np.full(len(hidden.quantities), 0.3)
+    simulator = robot.simulator.with_effects((), [(hidden, sizes)])
+    rows = robot.segments.trajectories.observations.copy()
+    rows[robot.segments.steps[0, 0], simulator.model.nq] = 1e200
+    data = replace(robot.segments.trajectories, observations=rows)
+    segments = replace(robot.segments, trajectories=data)
+    lost = ~np.isfinite(simulator.predict(simulator.nominal[None], segments)[0]).all(axis=1)
+    assert lost.any()
+    assert not lost.all()
 
 
 def test_two_at_once():

@@ -290,14 +290,16 @@ def react(
     qpos, qvel, act = np.split(whole, np.cumsum(sizes[:2]), axis=1)
     forces = np.zeros((len(states), model.nv))
     friction = np.zeros_like(forces)
-    for instance, magnitudes in reacting:
-        state = StepState(qpos, qvel, commands, step, act, model, states[:, 0], memory, past)
-        if instance.command_feedback is not None:
-            commands = instance.command_feedback(state, magnitudes)
-        if instance.force is not None:
-            forces += instance.force(state, magnitudes)
-        if instance.friction is not None:
-            friction += instance.friction(state, magnitudes)
+    # A simulation that diverges ends in NaN, which is no news worth a warning.
+    with np.errstate(over="ignore", invalid="ignore"):
+        for instance, magnitudes in reacting:
+            state = StepState(qpos, qvel, commands, step, act, model, states[:, 0], memory, past)
+            if instance.command_feedback is not None:
+                commands = instance.command_feedback(state, magnitudes)
+            if instance.force is not None:
+                forces += instance.force(state, magnitudes)
+            if instance.friction is not None:
+                friction += instance.friction(state, magnitudes)
     return Reaction(commands, forces, friction)
 
 
