@@ -65,7 +65,8 @@ def random_machine(design: RandomDesign, rng: Generator) -> Machine:
         place: str | None
         if effect == "actuator_delay":
             place = None
-            size = delay = rng.uniform(0.004, 0.02)
+            steps = round(rng.uniform(0.004, 0.02) / spec.option.timestep)
+            size = delay = steps * spec.option.timestep
         elif effect == "actuator_gain":
             place, size = _change_a_gain(spec, rng)
         elif effect == "payload":

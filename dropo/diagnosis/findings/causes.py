@@ -32,6 +32,8 @@ from dropo.diagnosis.search.review import Review, ambiguity
 from dropo.diagnosis.search.screening import Candidate
 from dropo.diagnosis.search.selection import Selection
 from dropo.diagnosis.search.trials import State
+from dropo.mjmodel.options import physics_step
+from dropo.mjmodel.robot_simulator import RobotSimulator
 
 
 @dataclass(frozen=True)
@@ -283,6 +285,9 @@ def estimate(
 ) -> dict[str, Estimate]:
     """Return an effect's magnitudes with their errors.
 
+    A simulation acts up to half a physics step early, which no data tell from a time that is
+    missing: the error of a time has the root mean square of that.
+
     Parameters
     ----------
     library : Library
@@ -302,9 +307,14 @@ def estimate(
         By quantity: what is added, its standard error, the model's own number.
     """
     found = {}
+    simulator = library.simulator
+    step = physics_step(simulator.model) if isinstance(simulator, RobotSimulator) else 0.0
+    early = step / np.sqrt(12)
     for place, quantity in zip(library.places[instance.label], instance.quantities, strict=True):
         value = float(last.theta[place])
         error = float(errors[place])
+        if quantity.unit == "s":
+            error = float(np.hypot(error, early))
         freedom = np.inf if degrees is None else float(degrees[place])
         found[quantity.name] = Estimate(value, error, quantity.unit, quantity.base, freedom)
     return found
