@@ -11,6 +11,8 @@ from dropo.diagnosis.search.plausibility import Plausibility
 
 WORSE = 0.02
 """Fraction by which the spread of what is left may grow by an exchange for a likelier number."""
+TOLD = 4.0
+"""Standard errors that a payload's mass must be away from 0 to be told."""
 
 
 def term_similarities(fitter: Fitter, solution: Solution, index: int) -> Array:
