@@ -32,8 +32,6 @@ class EveryHorizonSettings:
         than noise explains.
     misfit : float
         The part by which it must be larger than noise explains.
-    starts : float
-        Multiple of what noise explains that errors of estimated starts may make at most.
     few : int
         Runs or parts below which their spread says little: the root mean square must then be ...
     times : float
@@ -48,7 +46,6 @@ class EveryHorizonSettings:
     z: float = 3.0
     worse: float = 0.03
     misfit: float = 0.25
-    starts: float = 2.0
     few: int = 5
     times: float = 2.0
     refused: int = 6
@@ -134,8 +131,8 @@ def beyond_noise(
     model : int
         Which of the models: the one that the noise was drawn with.
     usual : int, optional
-        A horizon [control steps] whose errors count as those of the noise, up to a multiple of
-        that; where the noise that was drawn is not all that there is.
+        A horizon [control steps] whose errors count as those of the noise, however large they are;
+        where the noise that was drawn is not all that there is.
     settings : EveryHorizonSettings
         When they are larger.
     measured : (p,) bool array, optional
@@ -152,7 +149,7 @@ def beyond_noise(
     for after in found:
         if after.steps == usual:
             larger = {
-                unit: float(np.clip(size / max(noise, 1e-300), 1.0, settings.starts))
+                unit: max(1.0, size / max(noise, 1e-300))
                 for (unit, _, size), (_, _, noise) in zip(
                     _lines(after, after.errors[[model]]),
                     _lines(after, after.by_noise),
