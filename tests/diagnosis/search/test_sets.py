@@ -54,32 +54,6 @@ def test_the_right_set_stays():
     assert len(sets.seen) <= 1 + sets.settings.refitted
 
 
-@pytest.mark.parametrize("wrong", [("friction", "bias"), ("drag",)])
-def test_a_named_set_takes_the_place_of_a_worse_one(wrong):
-    """That which something else names, from sizes that are half of what they should be."""
-    search, first = selection(measured(HIDDEN))
-    start = forced(search, first, *wrong)
-    named = [
-        (one, np.array([HIDDEN[one.effect] / 2])) for one in instances() if one.effect in HIDDEN
-    ]
-    found = SetSearch(search, first, instances()).instead(start, named)
-    assert names_of(found) == set(HIDDEN)
-    sizes = [found.theta[search.library.places[one.label]][0] for one in found.accepted]
-    np.testing.assert_allclose(sizes, [HIDDEN[one.effect] for one in found.accepted], rtol=0.05)
-
-
-def test_a_named_set_that_is_not_better_changes_nothing():
-    """The control: a wrong one, the same one, one with more, none, and one that is not known."""
-    search, first = selection(measured(HIDDEN))
-    start = forced(search, first, *HIDDEN)
-    by_name = {one.effect: one for one in instances()}
-    sets = SetSearch(search, first, instances())
-    for names in (("friction", "bias"), tuple(HIDDEN), (*HIDDEN, "drag"), ()):
-        assert sets.instead(start, [(by_name[name], np.array([0.1])) for name in names]) is start
-    few = SetSearch(search, first, [by_name["friction"]])
-    assert few.instead(first, [(by_name[name], np.array([0.1])) for name in HIDDEN]) is first
-
-
 def test_nothing_hidden_no_set():
     """Ten data sets without anything hidden: no pair is accepted."""
     for seed in range(10):
