@@ -17,7 +17,7 @@ from dropo.core.services.files.evaluation_log import EvaluationLog
 from dropo.core.services.validation import require
 from dropo.data.outliers.without_disturbances import WithoutDisturbances, without_disturbances
 from dropo.diagnosis.far_off.search import Explained, FarOffSearch
-from dropo.diagnosis.far_off.start import FarOffStart, named_numbers, regressed, start_of
+from dropo.diagnosis.far_off.start import FarOffStart, start_of
 from dropo.diagnosis.findings.accuracy.every_horizon import (
     beyond_noise,
     in_words,
@@ -83,7 +83,6 @@ from dropo.diagnosis.setup import (
 from dropo.diagnosis.solving import (
     solved,
     with_another_set,
-    with_named_set,
     with_noise_left,
     without_short_delays,
     without_worse,
@@ -236,24 +235,14 @@ class Diagnose:
         stated: Any = problem.settings.get("windows", self.settings.windows)
         return int(stated)
 
-    def _begun(
-        self, task: DiagnosisTask, progress: Progress
-    ) -> tuple[DiagnosisTask, FarOffStart | None]:
-        """The task with what regression names, where effects need not be named; and a start where
-        the model may be far off.
-        """
+    def _start(self, task: DiagnosisTask, progress: Progress) -> FarOffStart | None:
+        """What a model may lack that is far off, where effects need not be named."""
         settings = self.settings
         if self.effects is not None or settings.far_off is None or task.wiring:
-            return task, None
+            return None
         progress(0.0, "regression over inverse dynamics")
-        data = task.data
-        estimate = regressed(data, settings.regression)
-        if estimate is None:
-            return task, None
-        free = free_parameters(data, self.parameters)
-        named = named_numbers(data, free, estimate, settings.regression.certain)
-        start = start_of(data, free, estimate, settings.far_off, settings.regression)
-        return replace(task, named=named), start
+        free = free_parameters(task.data, self.parameters)
+        return start_of(task.data, free, settings.far_off, settings.regression)
 
     def _explained(
         self, start: FarOffStart, progress: Progress, log: EvaluationLog
@@ -324,7 +313,7 @@ class Diagnose:
 
     def _run(self, task: DiagnosisTask, progress: Progress) -> Diagnosis:
         """The diagnosis of a problem, or of what is left of it without disturbances."""
-        task, start = self._begun(task, progress)
+        start = self._start(task, progress)
         if start is None:
             return self._by_search(task, None, progress)
         if start.sure:
@@ -389,7 +378,7 @@ class Diagnose:
         library, selection, last = setup.library, setup.selection, searched.last
         selection.progress(0.9, "what remains")
         rest, forces = remaining(setup.problem, library, last, selection.floor, task.rng)
-        further = self._further(task, setup, searched, rest)
+        further = self._further(setup, searched, rest, task.rng)
         if further is not None:
             return self._result(task, *further, progress)
         (draws,) = task.rng.spawn(1)
@@ -511,22 +500,18 @@ class Diagnose:
         )
 
     def _further(
-        self, task: DiagnosisTask, setup: SearchSetup, searched: SearchedEffects, rest: Remaining
+        self,
+        setup: SearchSetup,
+        searched: SearchedEffects,
+        rest: Remaining,
+        rng: np.random.Generator,
     ) -> tuple[SearchSetup, SearchedEffects] | None:
-        """A search that went on, where something remains or regression names others; None where
-        there is no more to do.
-        """
+        """A search that went on, where something remains; None where there is no more to do."""
         if searched.interrupted or setup.explained is not None:
             return None
         # What explains the data in part is no delay that is finer than the model's own steps.
         if not rest.calibrated:
             further = without_short_delays(setup, searched)
-            if further is not None:
-                return further
-        # Regression sees all that is missing together.
-        if not setup.regressed:
-            setup = replace(setup, regressed=True)
-            further = with_named_set(setup, searched, task.named, self.settings.sets)
             if further is not None:
                 return further
         # Effects that were accepted one after another may stand for others that act together.
@@ -538,7 +523,7 @@ class Diagnose:
             setup = replace(setup, compared=True)
         # Where known effects leave something, it may follow a law that none of them stands for.
         if searched.laws is None and self._wants_laws(setup.library, searched.last, rest):
-            return self._with_laws(setup, searched, task.rng)
+            return self._with_laws(setup, searched, rng)
         return None
 
     def _detectable(

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from dropo.core.contracts.effect import ActiveEffects, EffectInstance
+from dropo.core.contracts.effect import EffectInstance
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import BadArgument
@@ -142,8 +142,6 @@ class DiagnosisTask:
         The model by which they were found.
     spent : int
         Simulator steps so far.
-    named : sequence of (EffectInstance, (q,) array)
-        What regression names.
     """
 
     came: Problem
@@ -155,7 +153,6 @@ class DiagnosisTask:
     undisturbed: WithoutDisturbances | None = None
     before: State | None = None
     spent: int = 0
-    named: ActiveEffects = ()
 
     @property
     def data(self) -> Problem:
@@ -195,8 +192,6 @@ class SearchSetup:
         By their labels, effects with which errors after some horizon are larger.
     compared : bool
         Whether sets of effects were compared, and a better one was found.
-    regressed : bool
-        Whether what regression names was compared with what was found.
     sought : bool
         Whether laws were looked for in vain beyond what windows show.
     """
@@ -215,7 +210,6 @@ class SearchSetup:
     won: float = 0.0
     worse: Mapping[str, Leader] = field(default_factory=dict)
     compared: bool = False
-    regressed: bool = False
     sought: bool = False
 
     @property

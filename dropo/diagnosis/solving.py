@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dropo.core.contracts.effect import ActiveEffects, EffectInstance
+from dropo.core.contracts.effect import EffectInstance
 from dropo.core.services.tables import number, steps_text
 from dropo.data.outliers.without_disturbances import WithoutDisturbances
 from dropo.diagnosis.findings.accuracy.every_horizon import Beyond
@@ -284,35 +284,6 @@ def with_another_set(
         return None
     last, reviews = explain(setup, searched.first, better)
     return replace(setup, compared=True), replace(searched, last=last, reviews=reviews)
-
-
-def with_named_set(
-    setup: SearchSetup, searched: SearchedEffects, named: ActiveEffects, settings: SetSettings
-) -> tuple[SearchSetup, SearchedEffects] | None:
-    """Go on with the effects that regression names, if they are better.
-
-    Parameters
-    ----------
-    setup : SearchSetup
-        What the search works on.
-    searched : SearchedEffects
-        What it ended with.
-    named : sequence of (EffectInstance, (q,) array)
-        The effects with their magnitudes.
-    settings : SetSettings
-        When a set is better.
-
-    Returns
-    -------
-    tuple of SearchSetup and SearchedEffects or None
-        None where they are not, or are what was found.
-    """
-    sets = SetSearch(setup.selection, searched.first, setup.instances, settings)
-    better = sets.instead(searched.last, named)
-    if better is searched.last:
-        return None
-    last, reviews = explain(setup, searched.first, better)
-    return setup, replace(searched, last=last, reviews=reviews)
 
 
 def without_worse(

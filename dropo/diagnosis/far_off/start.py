@@ -74,68 +74,10 @@ class FarOffStart:
     sure: bool
 
 
-def regressed(problem: Problem, settings: QuickSettings) -> Missing | None:
-    """Find what a model lacks by regression.
-
-    Parameters
-    ----------
-    problem : Problem
-        Any, whose wiring fits.
-    settings : QuickSettings
-        Numbers that decide in the regression.
-
-    Returns
-    -------
-    Missing or None
-        None where the robot or the data do not suit a regression.
-    """
-    # Motions through contacts are not replayed as a whole.
-    if is_floating(robot_of(problem).model):
-        return None
-    fitted, _ = sides(problem, settings.checked)
-    try:
-        return estimate_missing(problem, fitted, settings)
-    except (Incompatible, BadArgument):
-        return None
-
-
-def named_numbers(problem: Problem, free: Ints, estimate: Missing, certain: float) -> ActiveEffects:
-    """List what regression names, as effects with their magnitudes.
-
-    Parameters
-    ----------
-    problem : Problem
-        That the regression is of.
-    free : int array
-        Indices of the declared parameters that are fitted, which are no effects.
-    estimate : Missing
-        What regression found.
-    certain : float
-        Standard errors that a number must be away from 0.
-
-    Returns
-    -------
-    sequence of (EffectInstance, (q,) array)
-    """
-    simulator = robot_of(problem)
-    numbers = estimate.numbers(simulator, certain)
-    named = {(one.effect, one.target, one.variant) for one in numbers if one.named}
-    return tuple(
-        (instance, sizes)
-        for instance, sizes in fixed_numbers(simulator, estimate)
-        if (instance.effect, instance.target, instance.variant) in named
-        and not declared(simulator, instance, free)
-    )
-
-
 def start_of(
-    problem: Problem,
-    free: Ints,
-    estimate: Missing,
-    limits: FarOffLimits,
-    settings: QuickSettings,
+    problem: Problem, free: Ints, limits: FarOffLimits, settings: QuickSettings
 ) -> FarOffStart | None:
-    """Begin with what a model lacks by regression, where that is much.
+    """Find what a model lacks by regression, where that is much.
 
     Parameters
     ----------
@@ -143,8 +85,6 @@ def start_of(
         Any, whose wiring fits.
     free : int array
         Indices of the declared parameters that are fitted.
-    estimate : Missing
-        What regression found.
     limits : FarOffLimits
         What is much.
     settings : QuickSettings
@@ -153,10 +93,16 @@ def start_of(
     Returns
     -------
     FarOffStart or None
-        None where little is missing.
+        None where little is missing, or where the robot or the data do not suit a regression.
     """
     simulator = robot_of(problem)
+    if is_floating(simulator.model):  # motions through contacts are not replayed as a whole
+        return None
     fitted, checked = sides(problem, settings.checked)
+    try:
+        estimate = estimate_missing(problem, fitted, settings)
+    except (Incompatible, BadArgument):
+        return None
     named = [one for one in estimate.numbers(simulator, settings.certain) if one.named]
     sure = len(named) >= limits.numbers or abs(estimate.solution.gain) >= limits.gain
     if sure and not estimate.is_certain_gain(settings.certain):

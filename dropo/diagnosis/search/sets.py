@@ -12,7 +12,7 @@ from itertools import combinations
 
 import numpy as np
 
-from dropo.core.contracts.effect import ActiveEffects, EffectInstance
+from dropo.core.contracts.effect import EffectInstance
 from dropo.core.services.validation import Array
 from dropo.diagnosis.search.confirmation import gain_of, is_confirmed
 from dropo.diagnosis.search.library import partner_of
@@ -226,43 +226,6 @@ class SetSearch:
                 if instance not in last.accepted:
                     self.selection.note_origin(instance)
         return best
-
-    def instead(self, last: State, named: ActiveEffects) -> State:
-        """Try one set in the place of a model's own.
-
-        Parameters
-        ----------
-        last : State
-            The model, fitted to the end.
-        named : sequence of (EffectInstance, (q,) array)
-            The set, and where its magnitudes begin.
-
-        Returns
-        -------
-        State
-            `last` itself if the set is not better, or not among the effects that may be in one.
-        """
-        own = {instance.label: instance for instance in self.instances}
-        sizes = {instance.label: magnitudes for instance, magnitudes in named}
-        accepted = {instance.label for instance in last.accepted}
-        if not sizes or not sizes.keys() <= own.keys() or sizes.keys() == accepted:
-            return last
-        removed = [one for one in last.accepted if one.label not in sizes]
-        added = [own[label] for label in sizes if label not in accepted]
-        library = self.selection.library
-        theta = last.theta.copy()
-        for instance in removed:
-            theta[library.places[instance.label]] = 0.0
-        for instance in added:
-            theta[library.places[instance.label]] = sizes[instance.label]
-        self.selection.progress(0.9, "fitting what regression names")
-        theta = library.simulator.space.clip(theta)
-        better = self._first_better(last, [self.selection.try_set(last, theta, removed, added)])
-        if better is None:
-            return last
-        for instance in added:
-            self.selection.note_origin(instance)
-        return better
 
     def _first_better(self, best: State, tried: Sequence[State]) -> State | None:
         """The first of some models that is better than the best, for certain, fitted to the end."""

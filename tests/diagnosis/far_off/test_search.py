@@ -8,7 +8,7 @@ import pytest
 
 from dropo.core.contracts.estimator import silent
 from dropo.diagnosis.far_off.search import KNOWN, FarOffSearch
-from dropo.diagnosis.far_off.start import FarOffLimits, regressed, start_of
+from dropo.diagnosis.far_off.start import FarOffLimits, start_of
 from dropo.diagnosis.regression.quick import QuickSettings
 from dropo.mjmodel.robot_simulator import RobotSimulator
 from dropo.problems.simulated.hidden import hide
@@ -129,8 +129,7 @@ def test_data_held_out_decide_nothing():
     found = []
     for fitted, held_out in ((data, first), (data, last), (first, last)):
         given = replace(problem, trajectories=fitted, held_out=held_out)
-        estimate = regressed(given, QuickSettings())
-        start = start_of(given, free, estimate, FarOffLimits(gain=0.0), QuickSettings())
+        start = start_of(given, free, FarOffLimits(gain=0.0), QuickSettings())
         assert start.whole.held_out is held_out
         explained = FarOffSearch(SETTINGS, silent).run(start.model, start.whole)
         assert explained.model.problem.trajectories is fitted

@@ -9,7 +9,7 @@ import pytest
 from dropo.core.contracts.effect import instances_of
 from dropo.diagnosis.diagnose import Diagnose
 from dropo.diagnosis.far_off.model import FarOffModel
-from dropo.diagnosis.far_off.start import FarOffLimits, FarOffStart, regressed, start_of
+from dropo.diagnosis.far_off.start import FarOffLimits, FarOffStart, start_of
 from dropo.diagnosis.regression.quick import QuickSettings, sides
 from dropo.mjmodel.fields import FieldParameter
 from dropo.problems.file.estimated_velocities import with_velocities
@@ -29,8 +29,7 @@ NONE = np.zeros(0, dtype=np.int64)
 
 def started(problem, free=NONE):
     """What a search of the problem begins with."""
-    estimate = regressed(problem, QuickSettings())
-    return start_of(problem, free, estimate, FarOffLimits(), QuickSettings())
+    return start_of(problem, free, FarOffLimits(), QuickSettings())
 
 
 @pytest.fixture(scope="module")
