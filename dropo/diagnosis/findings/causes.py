@@ -285,8 +285,8 @@ def estimate(
 ) -> dict[str, Estimate]:
     """Return an effect's magnitudes with their errors.
 
-    A simulation acts up to half a physics step early, which no data tell from a time that is
-    missing: the error of a time has the root mean square of that.
+    A simulation acts up to half a physics step early, which no data tell from a time by which
+    commands are late: the error of such a time has the root mean square of that.
 
     Parameters
     ----------
@@ -310,10 +310,11 @@ def estimate(
     simulator = library.simulator
     step = physics_step(simulator.model) if isinstance(simulator, RobotSimulator) else 0.0
     early = step / np.sqrt(12)
+    of_commands = instance.command is not None or instance.actuation is not None
     for place, quantity in zip(library.places[instance.label], instance.quantities, strict=True):
         value = float(last.theta[place])
         error = float(errors[place])
-        if quantity.unit == "s":
+        if quantity.unit == "s" and of_commands:
             error = float(np.hypot(error, early))
         freedom = np.inf if degrees is None else float(degrees[place])
         found[quantity.name] = Estimate(value, error, quantity.unit, quantity.base, freedom)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from dropo.core.services.validation import Array
-from dropo.diagnosis.regression.fit import Fitter, Solution
+from dropo.diagnosis.regression.fit import Fitter, Solution, weighted_squares
 from dropo.diagnosis.regression.terms import INERTIAL
 from dropo.diagnosis.search.plausibility import Plausibility
 
@@ -67,8 +67,8 @@ def payload_similarities(fitter: Fitter, solution: Solution, without: Solution) 
         on which no payload explains anything are left out, and the payload's own.
     """
     without = fitter.refined(fitter.solve(without))
-    present = _squares(fitter, solution, solution.weights)
-    explained = _squares(fitter, without, solution.weights) - present
+    present = weighted_squares(fitter.residuals(solution), solution.weights)
+    explained = weighted_squares(fitter.residuals(without), solution.weights) - present
     found = {}
     for body in range(len(fitter.equation.by_inertia)):
         if solution.payload is not None and solution.payload.body == body:
@@ -76,15 +76,10 @@ def payload_similarities(fitter: Fitter, solution: Solution, without: Solution) 
         loaded = fitter.refined(fitter.solve(fitter.loaded(without, (body,))))
         if loaded.payload is None or not 0 < loaded.payload.mass < fitter.heaviest:
             continue
-        lost = _squares(fitter, loaded, solution.weights) - present
+        lost = weighted_squares(fitter.residuals(loaded), solution.weights) - present
         if explained > 0 and lost < explained:
             found[body] = float(np.sqrt(min(1.0, 1.0 - lost / explained)))
     return found
-
-
-def _squares(fitter: Fitter, solution: Solution, weights: Array) -> float:
-    """The weighted sum of the squares of what is left."""
-    return float(np.sum((fitter.residuals(solution) * weights) ** 2))
 
 
 def most_plausible(
@@ -126,9 +121,9 @@ def most_plausible(
             if free and fitter.badness(other) < fitter.badness(solution) + WORSE * rows:
                 solution = other
                 break
-    return (
-        solution if solution.payload is None else _without_payload(fitter, solution, plausibility)
-    )
+    if solution.payload is None:
+        return solution
+    return _without_payload(fitter, solution, plausibility)
 
 
 def _without_payload(fitter: Fitter, solution: Solution, plausibility: Plausibility) -> Solution:

@@ -458,11 +458,11 @@ class Fitter:
             solution = self._reweighted(solution, residuals)
             gram, moments = _normal_equations(jacobian, residuals, solution.weights)
             steps = bounded(gram, moments, *self._step_bounds(solution))
-            before = _weighted_squares(residuals, solution.weights)
+            before = weighted_squares(residuals, solution.weights)
             for _ in range(self.settings.halvings):
                 moved = self._moved(solution, steps)
                 jacobian, residuals = self._linearized(moved)
-                if _weighted_squares(residuals, solution.weights) <= before:
+                if weighted_squares(residuals, solution.weights) <= before:
                     break
                 steps = steps / 2
             solution = moved
@@ -614,8 +614,18 @@ def _normal_equations(columns: Array, target: Array, weights: Array) -> tuple[Ar
     return flat.T @ flat, flat.T @ (target * weights).ravel()
 
 
-def _weighted_squares(residuals: Array, weights: Array) -> float:
-    """The sum of the squares of residuals (R, nv), weighted."""
+def weighted_squares(residuals: Array, weights: Array) -> float:
+    """Add up the squares of what is left, weighted.
+
+    Parameters
+    ----------
+    residuals, weights : (R, nv) arrays
+        What is left, and square roots of the weights.
+
+    Returns
+    -------
+    float
+    """
     return float(np.sum((residuals * weights) ** 2))
 
 
