@@ -251,6 +251,9 @@ def test_delay_stands_for_sensors_too():
     some = Diagnose(("joint_damping", "actuator_delay"), windows=14, disturbances=False)
     found = some.run(problem([("actuator_delay", [0.01])]))
     assert (found.causes[0].effect, found.causes[0].target) == ("actuator_delay", None)
+    # A simulation acts up to half a physics step early.
+    step = found.problem.simulator.model.opt.timestep
+    assert found.causes[0].estimate["delay"].se > step / np.sqrt(12)
     assert found.causes[0].estimate["delay"].value == pytest.approx(0.01, rel=0.02)
     assert any(c.effect == "sensor_delay" for c in found.causes[0].confused_with)
 
