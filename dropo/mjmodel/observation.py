@@ -260,6 +260,11 @@ class Layout:
         return states
 
     @property
+    def column_places(self) -> dict[tuple[str, int], int]:
+        """Where each number of MuJoCo's fields is among the columns, by the field and its place."""
+        return {(one.field, one.place): i for i, one in enumerate(self.columns)}
+
+    @property
     def column_signals(self) -> list[Signal]:
         """Names and units of the P columns; a quaternion's numbers have no unit."""
         units = [self.model_units.get((column.field, column.place), "") for column in self.columns]

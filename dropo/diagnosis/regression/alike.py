@@ -11,8 +11,6 @@ from dropo.diagnosis.search.plausibility import Plausibility
 
 WORSE = 0.02
 """Fraction by which the spread of what is left may grow by an exchange for a likelier number."""
-TOLD = 4.0
-"""Standard errors that a payload's mass must be away from 0 to be told."""
 
 
 def term_similarities(fitter: Fitter, solution: Solution, index: int) -> Array:
@@ -115,8 +113,7 @@ def most_plausible(
             if plausibility.of(fitter.terms[k].effect) <= own:
                 continue
             chosen = tuple(k if one == i else one for one in solution.chosen)
-            begun = replace(solution, chosen=chosen, sizes=_without(solution.sizes, i))
-            other = fitter.refined(fitter.solve(begun))
+            other = fitter.refined(fitter.solve(replace(solution, chosen=chosen)))
             free = other.sizes[k] > fitter.terms[k].lowest
             if free and fitter.badness(other) < fitter.badness(solution) + WORSE * rows:
                 solution = other
@@ -147,10 +144,3 @@ def _is_beside_mass(fitter: Fitter, solution: Solution, i: int) -> bool:
     terms = fitter.terms
     heavy = {terms[k].target for k in solution.terms if terms[k].family == "mass"}
     return terms[i].family in INERTIAL and terms[i].target in heavy
-
-
-def _without(sizes: Array, i: int) -> Array:
-    """The sizes with a 0 in one place."""
-    sizes = sizes.copy()
-    sizes[i] = 0.0
-    return sizes

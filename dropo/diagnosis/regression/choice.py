@@ -40,8 +40,8 @@ class ChoiceSettings:
         drives does, as a fraction of the drive's, and a gain that counts as wrong: smoothing makes
         less than that.
     idle : float
-        A drive that gives less than this fraction of its force explains nothing: what its joint
-        lacks has shrunk together with its noise.
+        A drive that gives less than this fraction of its force explains nothing, nor columns' other
+        reading: what its joint lacks has shrunk together with its noise.
     wald : float
         Smallest square of a term's size, in squares of its standard error, with which it is kept.
     payload : float

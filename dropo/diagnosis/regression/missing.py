@@ -98,7 +98,7 @@ class Missing:
         Parameters
         ----------
         simulator : RobotSimulator
-            The robot, for the names of its drives and bodies.
+            The robot, for the names of its drives.
         certain : float
             Standard errors that a number must be away from 0 to be a cause.
 

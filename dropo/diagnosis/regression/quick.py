@@ -83,8 +83,6 @@ class QuickSettings:
         How well that scale is thought known then, as a standard deviation; every number has it.
     alike : float
         Columns are read otherwise only if numbers that are missing leave so many times the force.
-    idle : float
-        A drive that gives less than this fraction of its force explains no columns' other reading.
     equation : EquationSettings
         How a log becomes an equation.
     fit : FitSettings
@@ -110,7 +108,6 @@ class QuickSettings:
     same: float = 0.9999
     scale: float = 0.2
     alike: float = 2.0
-    idle: float = 1 / 3
     equation: EquationSettings = field(default_factory=EquationSettings)
     fit: FitSettings = field(default_factory=FitSettings)
     choice: ChoiceSettings = field(default_factory=ChoiceSettings)
@@ -321,7 +318,7 @@ class QuickDiagnose:
         unit. A drive that would give next to nothing explains nothing: turned, it is fitted so.
         """
         gains = [one.estimates[0][1].value for one in numbers if one.effect == "actuator_gain"]
-        if any(1 + gain < self.settings.idle for gain in gains):
+        if any(1 + gain < self.settings.choice.idle for gain in gains):
             return False
         by_name = {joint.joint: joint for joint in forces}
         for fault in faults:

@@ -439,7 +439,7 @@ def _within_forces(
 def _forces(simulator: RobotSimulator, rows: Array, actions: Array) -> Array | None:
     """(n, nv) the drives' forces; None where the state or a drive's law is not known."""
     model = simulator.model
-    column = {(one.field, one.place): i for i, one in enumerate(simulator.layout.columns)}
+    column = simulator.layout.column_places
     needed = [("qpos", i) for i in range(model.nq)] + [("qvel", i) for i in range(model.nv)]
     if model.nq != model.nv or not all(place in column for place in needed):
         return None

@@ -55,8 +55,8 @@ def chattering_drives(problem: Problem, settings: ChatteringSettings = SETTINGS)
     if not isinstance(simulator, RobotSimulator):
         return ()
     data = problem.trajectories
-    columns = {(one.field, one.place): i for i, one in enumerate(simulator.layout.columns)}
-    controls = np.arange(simulator.model.nu)[simulator.controls].tolist()
+    columns = simulator.layout.column_places
+    controls = simulator.controls.tolist()
     runs = [slice(start, stop) for start, stop in data.spans if stop - start >= 4]
     found = []
     for drive in actuators(simulator.model):

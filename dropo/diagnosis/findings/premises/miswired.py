@@ -132,7 +132,7 @@ def _angle_changes(
     simulator: RobotSimulator, data: Trajectories, reading: Reading
 ) -> list[tuple[int, int, float]]:
     """What becomes of the columns of positions and velocities."""
-    column = {(one.field, one.place): i for i, one in enumerate(simulator.layout.columns)}
+    column = simulator.layout.column_places
     own = {joint.qvel: joint for joint in joints(simulator.model)}
     found = []
     for dof, (source, scale) in enumerate(zip(reading.angles, reading.angle_scales, strict=True)):

@@ -119,7 +119,7 @@ def still_joints(simulator: RobotSimulator, data: Trajectories) -> list[tuple[Jo
     list of (Joint, float)
         [rad, m]
     """
-    columns = {(one.field, one.place): i for i, one in enumerate(simulator.layout.columns)}
+    columns = simulator.layout.column_places
     rows = np.concatenate([data.observations, data.next_observations])
     found = []
     for joint in joints(simulator.model):
