@@ -1,12 +1,11 @@
-"""Robust Gauss-Newton within a box, with and without an objective that steps are checked against.
+"""Gauss-Newton within a box, whose steps an objective is checked against.
 
-`fit_reweighted` takes whole steps and weighs rows by how well they fit: one linearization a step,
-nothing else, for problems that are nearly linear. `maximize` keeps a step only where an objective
-grows, tries shorter ones, and keeps a Jacobian as long as it predicts well.
+`maximize` keeps a step only where the objective grows, tries shorter ones, and keeps a Jacobian as
+long as it predicts well. `fit_reweighted` climbs the likelihood of a Student t by it, in which
+rows weigh as well as they fit.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol, TypeVar
 
 import numpy as np
@@ -15,102 +14,6 @@ from dropo.core.numerics.robust_statistics import deviation, student_t_weights
 from dropo.core.services.validation import Array
 
 S = TypeVar("S")
-
-
-@dataclass(frozen=True)
-class ReweightingSettings:
-    """How `fit_reweighted` steps.
-
-    Attributes
-    ----------
-    iterations : int
-        Steps at most.
-    tolerance : float
-        A step of less than this fraction of the widths is the last one.
-    degrees : float
-        Degrees of freedom of the Student t whose weights the rows have.
-    prior_information : float
-        Information of a normal prior around each value, in units of the widths.
-    maximum_step : float
-        Longest step, as a fraction of the widths.
-    """
-
-    iterations: int = 8
-    tolerance: float = 1e-4
-    degrees: float = 3.0
-    prior_information: float = 1e-6
-    maximum_step: float = 0.25
-
-
-@dataclass(frozen=True, eq=False)
-class ReweightedFit:
-    """Where a reweighted fit ended, and its last step in units of the widths.
-
-    Attributes
-    ----------
-    value : (d,) array
-        The parameters.
-    information : (d, d) array
-        J' W J of the scaled rows.
-    inverse : (d, d) array
-        Its inverse under the prior.
-    scores : (R, d) array
-        Weighted score of each row.
-    """
-
-    value: Array
-    information: Array
-    inverse: Array
-    scores: Array
-
-
-def fit_reweighted(
-    linearize: Callable[[Array], tuple[Array, Array]],
-    start: Array,
-    bounds: tuple[Array, Array],
-    width: Array,
-    settings: ReweightingSettings,
-) -> ReweightedFit:
-    """Fit most rows, however large the errors of the others are.
-
-    Parameters
-    ----------
-    linearize : callable
-        Errors (R, p), measured less predicted, and the Jacobian (R, p, d) of the predictions at
-        parameters (d,).
-    start : (d,) array
-        Where to begin, within the bounds.
-    bounds : tuple of (d,) arrays
-        Lower and upper bounds.
-    width : (d,) array
-        Unit of each parameter.
-    settings : ReweightingSettings
-        How it steps.
-
-    Returns
-    -------
-    ReweightedFit
-    """
-    value = start
-    longest = settings.maximum_step
-    for _ in range(settings.iterations):
-        errors, jacobian = linearize(value)
-        # Rows in units of their usual error, parameters in units of their width.
-        scale = np.maximum(deviation(errors), 1e-300)
-        scaled_jacobian = jacobian * width / scale[:, None]
-        scaled = errors / scale
-        weights = student_t_weights(np.mean(scaled**2, axis=1), 1, settings.degrees)
-        information = np.einsum("w,wpd,wpe->de", weights, scaled_jacobian, scaled_jacobian)
-        scores = weights[:, None] * np.einsum("wpd,wp->wd", scaled_jacobian, scaled)
-        prior = settings.prior_information * np.eye(len(value))
-        inverse = np.linalg.inv(information + prior)
-        step = width * np.clip(inverse @ scores.sum(axis=0), -longest, longest)
-        new = np.clip(value + step, *bounds)
-        moved = np.max(np.abs(new - value) / width)
-        value = new
-        if moved < settings.tolerance:
-            break
-    return ReweightedFit(value, information, inverse, scores)
 
 
 @dataclass(frozen=True)
@@ -298,3 +201,207 @@ def damped_step(
     step = lsq_linear(rows, target, bounds=(low, high)).x / scale
     change = step @ jacobian
     return step, float(change @ residuals) - 0.5 * float(change @ change)
+
+
+@dataclass(frozen=True)
+class ReweightingSettings:
+    """How `fit_reweighted` steps.
+
+    Attributes
+    ----------
+    steps : GaussNewtonSettings
+        Steps, with gains in nats; their prior is in units of the widths.
+    degrees : float
+        Degrees of freedom of the Student t whose weights the rows have.
+    maximum_step : float
+        Longest step, as a fraction of the widths.
+    rounds : int
+        How often at most the scale of the errors is found anew.
+    same_scale : float
+        A smaller relative change of it needs no further round.
+    """
+
+    steps: GaussNewtonSettings = field(
+        default_factory=lambda: GaussNewtonSettings(iterations=20, tolerance=0.01, prior_width=1e3)
+    )
+    degrees: float = 3.0
+    maximum_step: float = 0.25
+    rounds: int = 8
+    same_scale: float = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class ReweightedFit:
+    """Where a reweighted fit ended, and its rows there in units of the widths.
+
+    Attributes
+    ----------
+    value : (d,) array
+        The parameters.
+    information : (d, d) array
+        J' W J of the scaled rows.
+    inverse : (d, d) array
+        Its inverse under the prior.
+    scores : (R, d) array
+        Weighted score of each row.
+    """
+
+    value: Array
+    information: Array
+    inverse: Array
+    scores: Array
+
+
+class FittedRows(Protocol):
+    """What `fit_reweighted` asks of a problem of R rows of p numbers and d parameters."""
+
+    def errors(self, values: Array) -> Array:
+        """Compare rows with their predictions.
+
+        Parameters
+        ----------
+        values : (K, d) array
+            Parameters.
+
+        Returns
+        -------
+        (K, R, p) array
+            Measured less predicted; NaN where nothing is predicted.
+        """
+
+    def jacobian(self, value: Array, close: bool) -> Array:
+        """Differentiate the predictions.
+
+        Parameters
+        ----------
+        value : (d,) array
+            Where.
+        close : bool
+            Whether by narrow differences.
+
+        Returns
+        -------
+        (R, p, d) array
+        """
+
+
+def fit_reweighted(
+    rows: FittedRows,
+    start: Array,
+    bounds: tuple[Array, Array],
+    width: Array,
+    settings: ReweightingSettings,
+) -> ReweightedFit:
+    """Fit most rows, however large the errors of the others are.
+
+    What grows is the log-likelihood of a Student t of each row's mean square in units of the usual
+    errors; these are found by medians, and anew where a fit has ended.
+
+    Parameters
+    ----------
+    rows : FittedRows
+        The rows, their predictions and the derivatives of these.
+    start : (d,) array
+        Where to begin, within the bounds.
+    bounds : tuple of (d,) arrays
+        Lower and upper bounds.
+    width : (d,) array
+        Unit of each parameter.
+    settings : ReweightingSettings
+        How it steps.
+
+    Returns
+    -------
+    ReweightedFit
+
+    References
+    ----------
+    Lange, Little, Taylor, Journal of the American Statistical Association 84 (1989), 881.
+    """
+    value = start
+    jacobian = None
+    last_scale = np.full(1, np.inf)
+    for _ in range(settings.rounds):
+        errors = rows.errors(value[None])[0]
+        scale = np.maximum(deviation(errors), 1e-300)
+        if np.all(np.abs(scale / last_scale - 1) < settings.same_scale):
+            break
+        last_scale = scale
+        problem = _ReweightedRows(rows, bounds, width, scale, settings)
+        state, jacobian = maximize(
+            problem, problem.at(value[None])[0], settings.steps, jacobian=jacobian
+        )
+        value = state.value
+    if jacobian is None:
+        jacobian = problem.differentiate(state, False)
+    scaled_jacobian, weights = problem.scaled(state, jacobian)
+    information = np.einsum("w,wpd,wpe->de", weights, scaled_jacobian, scaled_jacobian)
+    prior = np.eye(len(start)) / settings.steps.prior_width**2
+    return ReweightedFit(
+        value=state.value,
+        information=information,
+        inverse=np.linalg.inv(information + prior),
+        scores=weights[:, None] * np.einsum("wpd,wp->wd", scaled_jacobian, state.errors),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _RowsAt:
+    """Parameters (d,), the scaled errors (R, p) under them, and their log-likelihood [nats]."""
+
+    value: Array
+    errors: Array
+    log_likelihood: float
+
+
+@dataclass(frozen=True, eq=False)
+class _ReweightedRows:
+    """The objective of `fit_reweighted` under one scale (p,), as `maximize` asks for it."""
+
+    rows: FittedRows
+    bounds: tuple[Array, Array]
+    width: Array
+    scale: Array
+    settings: ReweightingSettings
+
+    def at(self, values: Array) -> list[_RowsAt]:
+        """Evaluate parameters (K, d)."""
+        degrees = self.settings.degrees
+        found = []
+        for value, errors in zip(values, self.rows.errors(values), strict=True):
+            scaled = errors / self.scale
+            surprise = np.log1p(np.mean(scaled**2, axis=1) / degrees).sum()
+            found.append(_RowsAt(value, scaled, -0.5 * (degrees + 1) * float(surprise)))
+        return found
+
+    def scaled(self, state: _RowsAt, jacobian: Array) -> tuple[Array, Array]:
+        """Jacobian (R, p, d) by the scaled parameters, and weights (R,) of the rows."""
+        squares = np.mean(state.errors**2, axis=1)
+        weights = student_t_weights(squares, 1, self.settings.degrees)
+        return jacobian * self.width / self.scale[:, None], weights
+
+    def differentiate(self, state: _RowsAt, close: bool) -> Array:
+        """See `SteppedObjective`."""
+        return self.rows.jacobian(state.value, close)
+
+    def step(self, state: _RowsAt, jacobian: Array) -> tuple[Array, float]:
+        """See `SteppedObjective`."""
+        scaled_jacobian, weights = self.scaled(state, jacobian)
+        root = np.sqrt(weights / len(self.scale))[:, None]
+        low, high = ((bound - state.value) / self.width for bound in self.bounds)
+        longest = self.settings.maximum_step
+        d = len(self.width)
+        return damped_step(
+            (root[..., None] * scaled_jacobian).reshape(-1, d).T,
+            (root * state.errors).ravel(),
+            (np.maximum(low, -longest), np.minimum(high, longest)),
+            np.full(d, self.settings.steps.prior_width),
+        )
+
+    def try_steps(self, state: _RowsAt, steps: Array) -> tuple[_RowsAt, float]:
+        """See `SteppedObjective`."""
+        tried = self.at(np.clip(state.value + steps * self.width, *self.bounds))
+        likelihoods = np.nan_to_num([one.log_likelihood for one in tried], nan=-np.inf)
+        best = int(np.argmax(likelihoods))
+        gain = float(likelihoods[best]) - state.log_likelihood
+        return (tried[best], gain) if gain > 0 else (state, 0.0)

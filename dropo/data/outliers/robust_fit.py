@@ -1,5 +1,7 @@
 """Parameters that explain most windows, however large the errors of the others are."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from dropo.core.contracts.simulator import Simulator
@@ -8,6 +10,9 @@ from dropo.core.records.trajectories import Segments
 from dropo.core.services.validation import Array, float_array
 
 DEFAULTS = ReweightingSettings()
+
+CLOSE = 0.1
+"""Fraction of the half widths of differences, where predictions curve within those."""
 
 
 def robust_fit(
@@ -52,13 +57,27 @@ def robust_fit(
         If there is nothing to start from.
     """
     space = simulator.space
-    measured = simulator.targets(windows)
-    width = space.high - space.low
     bounds = (space.lower, space.upper) if beyond else (space.low, space.high)
     value = np.clip(float_array("start", start, (len(space),), "robust_fit"), *bounds)
+    width = space.high - space.low
+    rows = _Windows(simulator, windows, simulator.targets(windows), step * width)
+    return fit_reweighted(rows, value, bounds, width, settings)
 
-    def linearize(at: Array) -> tuple[Array, Array]:
-        predicted, jacobian = simulator.linearize(at, windows, step=step * width)
-        return measured - predicted, jacobian
 
-    return fit_reweighted(linearize, value, bounds, width, settings)
+@dataclass(frozen=True, eq=False)
+class _Windows:
+    """Windows as rows, with their targets (W, p) and half widths (d,) of differences."""
+
+    simulator: Simulator
+    windows: Segments
+    measured: Array
+    step: Array
+
+    def errors(self, values: Array) -> Array:
+        """Measured less predicted (K, W, p) under parameters (K, d)."""
+        return self.measured - self.simulator.predict(values, self.windows)
+
+    def jacobian(self, value: Array, close: bool) -> Array:
+        """Derivatives (W, p, d) of the predictions."""
+        step = CLOSE * self.step if close else self.step
+        return self.simulator.linearize(value, self.windows, step=step)[1]

@@ -15,7 +15,6 @@ from scipy import special
 
 from dropo.core.contracts.effect import EffectInstance
 from dropo.core.contracts.problem import Problem
-from dropo.core.numerics.gauss_newton import ReweightingSettings
 from dropo.core.records.trajectories import Ints, Segments, Trajectories
 from dropo.core.services.errors import BadArgument
 from dropo.core.services.validation import Array, known, require
@@ -36,11 +35,6 @@ from dropo.mjmodel.robot_simulator import RobotSimulator
 
 EFFECTS = ("actuator_gain", "joint_friction", "joint_damping", "body_mass")
 """What is looked for where neither the caller nor the problem says: usual faults."""
-
-
-def _run_settings() -> OutlierRunSettings:
-    """Fits to the end: differences between runs are small beside the first model's errors."""
-    return OutlierRunSettings(fitting=ReweightingSettings(iterations=40, tolerance=1e-6))
 
 
 @dataclass(frozen=True)
@@ -69,7 +63,7 @@ class ReferenceSettings:
     independent: float = 0.2
     share: float = 0.2
     confused: float = 6.0
-    runs: OutlierRunSettings = field(default_factory=_run_settings)
+    runs: OutlierRunSettings = field(default_factory=OutlierRunSettings)
 
 
 SETTINGS = ReferenceSettings()

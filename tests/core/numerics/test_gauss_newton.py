@@ -20,14 +20,21 @@ SETTINGS = ReweightingSettings()
 BOX = (np.zeros(2), np.full(2, 10.0))
 
 
-def lines(outliers, seed=0):
-    """Errors and Jacobian of y = a + b x with noise of 0.1, some rows of which are 20 off."""
-    rng = np.random.default_rng(seed)
-    x = np.linspace(0, 1, 200)
-    slopes = np.stack([np.ones(200), x], axis=1)
-    measured = slopes @ [3.0, 5.0] + 0.1 * rng.normal(size=200)
-    measured[:outliers] += 20.0
-    return lambda value: ((measured - slopes @ value)[:, None], slopes[:, None, :])
+class Lines:
+    """Rows of y = a + b x with noise of 0.1, some of which are 20 off."""
+
+    def __init__(self, outliers, seed=0):
+        rng = np.random.default_rng(seed)
+        x = np.linspace(0, 1, 200)
+        self.slopes = np.stack([np.ones(200), x], axis=1)
+        self.measured = self.slopes @ [3.0, 5.0] + 0.1 * rng.normal(size=200)
+        self.measured[:outliers] += 20.0
+
+    def errors(self, values):
+        return (self.measured - values @ self.slopes.T)[..., None]
+
+    def jacobian(self, value, close):
+        return self.slopes[:, None, :]
 
 
 def test_outliers_count_for_little():
@@ -35,10 +42,10 @@ def test_outliers_count_for_little():
     many degrees, are beyond 1.
     """
     start = np.array([1.0, 1.0])
-    settings = replace(SETTINGS, iterations=60, maximum_step=1.0)
-    found = fit_reweighted(lines(50), start, BOX, np.ones(2), settings)
+    settings = replace(SETTINGS, maximum_step=1.0)
+    found = fit_reweighted(Lines(50), start, BOX, np.ones(2), settings)
     np.testing.assert_allclose(found.value, [3, 5], atol=0.1)
-    equal = fit_reweighted(lines(50), start, BOX, np.ones(2), replace(settings, degrees=1e12))
+    equal = fit_reweighted(Lines(50), start, BOX, np.ones(2), replace(settings, degrees=1e12))
     assert np.abs(equal.value - [3, 5]).max() > 1
     np.testing.assert_allclose(found.information @ found.inverse, np.eye(2), atol=1e-4)
     np.testing.assert_allclose(found.scores.sum(axis=0), 0, atol=1e-2 * np.abs(found.scores).sum())
@@ -46,19 +53,49 @@ def test_outliers_count_for_little():
 
 def test_a_reweighted_fit_stays_in_the_box_and_takes_short_steps():
     """A bound below the truth is where it ends; no step is longer than a quarter of the width."""
-    visited = []
-    linearize = lines(0)
+    rows = Lines(0)
+    tried = []
 
-    def watched(value):
-        visited.append(value)
-        return linearize(value)
+    def watched(values):
+        tried.append(values[0])
+        return Lines.errors(rows, values)
 
-    found = fit_reweighted(
-        watched, np.full(2, 1.0), (np.zeros(2), np.array([10.0, 4.0])), np.full(2, 4.0), SETTINGS
-    )
+    rows.errors = watched
+    box = (np.zeros(2), np.array([10.0, 4.0]))
+    found = fit_reweighted(rows, np.full(2, 1.0), box, np.full(2, 4.0), SETTINGS)
     assert found.value[1] == 4.0
-    assert np.abs(np.diff(visited, axis=0)).max() <= 1.0 + 1e-12
-    assert len(visited) <= SETTINGS.iterations
+    assert np.abs(np.diff(tried, axis=0)).max() <= 1.0 + 1e-12
+
+
+def test_a_reweighted_fit_of_bent_rows_ends_at_the_same_place_from_everywhere():
+    """y = sin(a t) + b, a fifth of the rows off: from both sides to 1e-4; one step does not do."""
+    t = np.linspace(0, 3, 300)
+    noise = 0.01 * np.random.default_rng(3).normal(size=300)
+    measured = np.sin(2.0 * t) + 0.5 + noise
+    measured[100:160] += 3.0
+
+    class Sines:
+        def errors(self, values):
+            return (measured - np.sin(values[:, :1] * t) - values[:, 1:])[..., None]
+
+        def jacobian(self, value, close):
+            return np.stack([t * np.cos(value[0] * t), np.ones(300)], axis=-1)[:, None, :]
+
+    box = (np.array([0.0, -5.0]), np.array([10.0, 5.0]))
+
+    def ends(settings):
+        starts = ([1.2, 3.0], [2.9, -3.0])
+        fits = [
+            fit_reweighted(Sines(), np.array(start), box, np.full(2, 10.0), settings)
+            for start in starts
+        ]
+        return [fit.value for fit in fits]
+
+    first, second = ends(SETTINGS)
+    np.testing.assert_allclose(first, second, atol=1e-4)
+    np.testing.assert_allclose(first, [2.0, 0.5], atol=0.01)
+    one_step = replace(SETTINGS, steps=replace(SETTINGS.steps, iterations=1), rounds=1)
+    assert np.abs(np.subtract(*ends(one_step))).max() > 0.1
 
 
 def test_a_damped_step_is_the_penalized_least_squares_solution():

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dropo.core.numerics.gauss_newton import ReweightingSettings
 from dropo.core.services.errors import BadArgument, UnknownName
 from dropo.data.outliers.outlier_runs import OutlierRunSettings
 from dropo.diagnosis.reference.candidates import effect_candidates, independent
@@ -19,9 +18,7 @@ from dropo.diagnosis.reference.compare import (
 )
 from tests.models.quadrotor import Flight, flights
 
-QUICK = ReferenceSettings(
-    runs=OutlierRunSettings(windows=100, fitting=ReweightingSettings(iterations=12, tolerance=1e-5))
-)
+QUICK = ReferenceSettings(runs=OutlierRunSettings(windows=100))
 UNUSUAL = {
     "weak M2": Flight(gain=(0, -0.15, 0, 0)),
     "load at M4": Flight(load=2e-3, at="M4"),
