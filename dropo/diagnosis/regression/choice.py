@@ -6,13 +6,13 @@ from itertools import product
 
 import numpy as np
 
+from dropo.core.numerics.bounded_quadratic import bounded_minimum
 from dropo.core.services.validation import Array
 from dropo.diagnosis.regression.fit import (
     GAIN,
     LEAST_BETA,
     Fitter,
     Solution,
-    bounded,
     root_mean_square,
 )
 from dropo.diagnosis.regression.terms import INERTIA, INERTIAL, LAWS, OWN_GAIN, families_of
@@ -662,7 +662,7 @@ class Chooser:
                 other_moments = other_moments - other_gram[:, 0]
             if len(free):
                 square = other_gram[free[:, None], free]
-                found[free] = bounded(square, other_moments[free], np.array(lowest))
+                found[free] = bounded_minimum(square, other_moments[free], np.array(lowest))
             squares = np.einsum("i,bij,j->b", found, grams[own], found)
             errors[own] = tables.sizes[own] - 2 * by_block[own] @ found + squares
         return errors

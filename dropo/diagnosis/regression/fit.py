@@ -17,6 +17,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from dropo.core.numerics.bounded_quadratic import bounded_minimum
 from dropo.core.numerics.closing_grid import SETTINGS as GRID
 from dropo.core.numerics.closing_grid import ClosingGridSettings, best_place
 from dropo.core.numerics.robust_statistics import deviation
@@ -46,6 +47,8 @@ class FitSettings:
         Number of Gauss-Newton steps when all numbers are fitted together.
     halvings : int
         How often a step is tried, half as long each time, that leaves more than before.
+    converged : float
+        A step that promises to explain less than this fraction of what is left is not taken.
     places : ClosingGridSettings
         Where a payload is tried.
     misfit : float
@@ -57,6 +60,7 @@ class FitSettings:
     weightings: int = 3
     steps: int = 10
     halvings: int = 5
+    converged: float = 1e-8
     places: ClosingGridSettings = GRID
     misfit: float = 0.01
 
@@ -324,7 +328,7 @@ class Fitter:
         found = np.zeros(0)
         for _ in range(self.settings.weightings):
             gram, moments = _normal_equations(columns, target, solution.weights)
-            found = bounded(gram, moments, lowest)
+            found = bounded_minimum(gram, moments, lowest)
             solution = self._reweighted(solution, target - columns @ found)
         names = list(solution.chosen)
         beta = max(float(found[names.index(GAIN)]), LEAST_BETA) if GAIN in names else 1.0
@@ -382,7 +386,7 @@ class Fitter:
         for k, delay in enumerate(delays.tolist()):
             columns, target, lowest = self._system(replace(solution, delay=delay))
             gram, moments = _normal_equations(columns, target, solution.weights)
-            found = bounded(gram, moments, lowest)
+            found = bounded_minimum(gram, moments, lowest)
             own = float(np.sum((target * solution.weights) ** 2))
             errors[k] = own - 2 * moments @ found + found @ gram @ found
         best = int(np.argmin(errors))
@@ -451,14 +455,16 @@ class Fitter:
         Returns
         -------
         Solution
-            After the settings' number of steps, with weights from what is left.
+            Where a step would gain nothing, or after the settings' number of them.
         """
         jacobian, residuals = self._linearized(solution)
         for _ in range(self.settings.steps):
             solution = self._reweighted(solution, residuals)
             gram, moments = _normal_equations(jacobian, residuals, solution.weights)
-            steps = bounded(gram, moments, *self._step_bounds(solution))
+            steps = bounded_minimum(gram, moments, *self._step_bounds(solution))
             before = weighted_squares(residuals, solution.weights)
+            if steps @ (2 * moments - gram @ steps) <= self.settings.converged * before:
+                break
             for _ in range(self.settings.halvings):
                 moved = self._moved(solution, steps)
                 jacobian, residuals = self._linearized(moved)
@@ -645,41 +651,3 @@ def root_mean_square(values: Array) -> Array:
     there = np.isfinite(values)
     total = np.sum(np.where(there, values, 0.0) ** 2, axis=0)
     return np.asarray(np.sqrt(total / np.maximum(there.sum(axis=0), 1)))
-
-
-def bounded(gram: Array, moments: Array, lowest: Array, highest: Array | None = None) -> Array:
-    """Minimize x' gram x - 2 moments' x with bounds, by an active set.
-
-    Parameters
-    ----------
-    gram : (k, k) array
-        Positive semidefinite.
-    moments, lowest : (k,) arrays
-        The linear term, and the lower bounds; -inf where there is none.
-    highest : (k,) array, optional
-        The upper bounds; inf where there is none.
-
-    Returns
-    -------
-    (k,) array
-    """
-    if highest is None:
-        highest = np.full(len(moments), np.inf)
-    sizes = np.diag(gram)
-    scale = np.sqrt(np.maximum(sizes, 1e-300))
-    # What moves nothing but by rounding stays where it is.
-    at_bound = sizes <= max(1e-30 * float(sizes.max(initial=0.0)), 1e-300)
-    found = np.clip(np.zeros(len(moments)), lowest, highest)
-    while True:
-        free = ~at_bound
-        if free.any():
-            rows = np.flatnonzero(free)
-            own = gram[rows[:, None], rows] / np.outer(scale[free], scale[free])
-            aim = moments - gram[:, at_bound] @ found[at_bound]
-            own.flat[:: len(own) + 1] += 1e-10
-            found[free] = np.linalg.solve(own, aim[free] / scale[free]) / scale[free]
-        outside = free & ((found < lowest - 1e-12) | (found > highest + 1e-12))
-        if not outside.any():
-            return found
-        found[outside] = np.clip(found, lowest, highest)[outside]
-        at_bound |= outside

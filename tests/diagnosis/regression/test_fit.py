@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dropo.diagnosis.regression.fit import Payload, bounded
+from dropo.diagnosis.regression.fit import Payload
 from dropo.diagnosis.regression.quick import QuickSettings, estimate_missing
 from dropo.diagnosis.regression.readings import sides
 from tests.models.first_models import problem_with
@@ -49,21 +49,3 @@ def test_the_best_place_is_found_from_places_beside_it(estimate):
         found.append(fitter.refined(replace(estimate.solution, payload=begun)))
     places = np.array([one.payload.place for one in found])
     assert np.sum(np.abs(places - best.place).max(axis=1) < 0.005) >= 9
-
-
-def test_bounds_hold_and_what_moves_nothing_stays():
-    """The free numbers are the least-squares solution beside those at a bound."""
-    rng = np.random.default_rng(1)
-    columns = rng.normal(size=(50, 4))
-    columns[:, 3] = 0.0
-    target = columns[:, :3] @ np.array([1.0, -2.0, 3.0]) + 0.1 * rng.normal(size=50)
-    lowest = np.array([-np.inf, -1.0, -np.inf, -1.0])
-    highest = np.array([np.inf, np.inf, 2.0, 1.0])
-    found = bounded(columns.T @ columns, columns.T @ target, lowest, highest)
-    np.testing.assert_array_equal(found[1:], [-1.0, 2.0, 0.0])
-    alone = columns[:, 0]
-    left = target - columns[:, 1:3] @ found[1:3]
-    np.testing.assert_allclose(found[0], alone @ left / (alone @ alone), rtol=1e-8)
-    free = bounded(columns.T @ columns, columns.T @ target, np.full(4, -np.inf))
-    expected = np.linalg.lstsq(columns[:, :3], target, rcond=None)[0]
-    np.testing.assert_allclose(free[:3], expected, rtol=1e-8)
