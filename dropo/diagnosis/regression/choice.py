@@ -20,6 +20,9 @@ from dropo.diagnosis.search.confirmation import signed_rank_score
 
 Group = tuple[int, ...]
 
+MEDIAN_VARIANCE = 5.4
+"""Of n normal numbers, n times the relative variance of the square of their median size."""
+
 
 @dataclass(frozen=True)
 class ChoiceSettings:
@@ -330,10 +333,17 @@ class Chooser:
         return certain and self._is_large(shared, apart.spread)
 
     def _is_large(self, shared: Solution, spread: Array | float) -> bool:
-        """Whether a spread, (nv,) or 0, is less than that of a solution by a large force."""
+        """Whether a spread, (nv,) or 0, is less than that of a solution by a large force.
+
+        By more, too, than the spreads of so many rows differ by chance.
+        """
         forces = root_mean_square(self.fitter.forces(shared.delay))
-        explained = np.where(forces > 0, shared.spread, 0.0) ** 2 - np.square(spread)
-        return bool(np.any(explained > (self.settings.apart * forces) ** 2))
+        squares = np.where(forces > 0, shared.spread, 0.0) ** 2
+        explained = squares - np.square(spread)
+        rows = np.maximum(self.fitter.equation.used.sum(axis=0), 1)
+        chance = squares * np.sqrt(MEDIAN_VARIANCE / rows)
+        large = np.maximum((self.settings.apart * forces) ** 2, self.settings.block_z * chance)
+        return bool(np.any(explained > large))
 
     def of_laws(self, solution: Solution) -> set[int]:
         """Find the chosen terms of a law that several joints have, and inertia beside a mass.
@@ -474,7 +484,8 @@ class Chooser:
     ) -> Solution:
         """Add the groups that data held out ask for, the one that helps most first.
 
-        A group is left out where it would free the scale of all masses a second time.
+        A group is left out where it would free the scale of all masses a second time, and where the
+        usual row, fitted again, is explained no better: the few that are have pulled it away.
 
         Parameters
         ----------
@@ -490,22 +501,29 @@ class Chooser:
         Solution
             The numbers with up to `rounds` more groups.
         """
-        for _ in range(self.settings.rounds if rounds is None else rounds):
+        refused: set[Group] = set()
+        left = self.settings.rounds if rounds is None else rounds
+        while left:
             tables = self.tables(solution)
             present = self.held_out(solution, tables)
-            best: tuple[float, Solution | None] = (0.0, None)
+            best: tuple[float, Group, Solution | None] = (0.0, (), None)
             for group in groups:
                 new = tuple(i for i in group if i not in solution.chosen)
-                if not new or self._moves_scale(solution, new):
+                if not new or new in refused or self._moves_scale(solution, new):
                     continue
                 larger = replace(solution, chosen=(*solution.chosen, *new))
                 errors = self.held_out(larger, tables)
                 if self._is_worth(present, errors, self._drive_size(solution, new)):
                     score = _worth(present, errors)[0] / np.sqrt(len(new))
-                    best = max(best, (score, larger), key=lambda one: one[0])
-            if best[1] is None:
+                    best = max(best, (score, new, larger), key=lambda one: one[0])
+            if best[2] is None:
                 return solution
-            solution = self.fitter.refined(self.fitter.solve(best[1]))
+            larger = self.fitter.refined(self.fitter.solve(best[2]))
+            if self.fitter.badness(larger) < self.fitter.badness(solution):
+                solution = larger
+                left -= 1
+            else:
+                refused.add(best[1])
         return solution
 
     def _moves_scale(self, solution: Solution, new: Group) -> bool:
