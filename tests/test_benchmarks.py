@@ -8,6 +8,8 @@ import re
 import subprocess
 import sys
 import time
+from dataclasses import replace
+from importlib import import_module
 
 import numpy as np
 import pytest
@@ -328,3 +330,22 @@ def test_a_machine_of_random_shape_is_diagnosed():
     assert found["hidden"] == [["joint_damping", "joint0"]]
     assert found["right"]
     assert re.search(r"^all +1 +1 ", printed, flags=re.MULTILINE)
+
+
+def test_what_a_log_says_grows_with_what_is_missing(monkeypatch):
+    """Nothing of what has no size; of half a payload a quarter as much as of the whole, within 20
+    %: nats are squares of small differences.
+    """
+    monkeypatch.syspath_prepend(readme.README.parent / "random_machines")
+    hidden, logs, worth = (import_module(name) for name in ("hidden", "logs", "worth"))
+    rng = np.random.default_rng(6)
+    design = import_module("design").random_design(rng)
+    load = hidden.Hidden("payload", "link1", 0.02, np.array([0.0, 0.0, 0.05]))
+    log = logs.random_log(design, hidden.built(design, [load]), rng)
+    short = replace(log, runs=log.runs[:1])
+    nats = []
+    for factor in (1e-6, 0.5, 1.0):
+        machine = hidden.built(design, [replace(load, size=factor * load.size)])
+        nats.append(worth.worth(design, machine, short)["payload", "link1"])
+    assert nats[0] < 1e-6 * nats[2]
+    assert nats[1] == pytest.approx(nats[2] / 4, rel=0.2)

@@ -1,5 +1,8 @@
 """The log of a random machine: a few runs that plain MuJoCo steps, positions by encoders."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import mujoco
 import numpy as np
 from design import RandomDesign
@@ -19,17 +22,56 @@ SATURATED = 0.05
 """No machine is logged whose motors are at their limit for more than this part of the time: its
 controller chatters.
 """
+JITTER = 0.4
+"""Noise of an encoder before it is rounded, in its steps."""
 LARGEST = 3.0
 """Of a motor's command, as a factor of its whole force."""
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """How a machine truly moved in T control steps.
+
+    Attributes
+    ----------
+    positions, speeds : (T, n) arrays
+        Before each step.
+    commands : (T, nu) array
+        In it.
+    """
+
+    positions: Array
+    speeds: Array
+    commands: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Log:
+    """What was measured, and what was true.
+
+    Attributes
+    ----------
+    trajectories : Trajectories
+        Positions before and after each control step by encoders of 12 to 16 bits, and commands.
+    control : float
+        Control step [s].
+    noise : (n,) array
+        Standard deviation of the measured positions [rad, m].
+    runs : sequence of Run
+        Three to six of 5 to 10 s.
+    """
+
+    trajectories: Trajectories
+    control: float
+    noise: Array
+    runs: Sequence[Run]
 
 
 class Lost(Exception):
     """The machine cannot be moved that way."""
 
 
-def random_log(
-    design: RandomDesign, machine: Machine, rng: Generator
-) -> tuple[Trajectories, float]:
+def random_log(design: RandomDesign, machine: Machine, rng: Generator) -> Log:
     """Move a machine from rest, and log it.
 
     Position servos are told the motion that is wanted; motors and velocity servos are told what a
@@ -46,11 +88,7 @@ def random_log(
 
     Returns
     -------
-    Trajectories
-        Three to six runs of 5 to 10 s: positions before and after each control step by encoders of
-        12 to 16 bits, and commands.
-    float
-        Control step [s].
+    Log
 
     Raises
     ------
@@ -64,19 +102,22 @@ def random_log(
     steps = round(rng.uniform(5.0, 10.0) / control)
     runs = int(rng.integers(3, 7))
     size = np.where(mover.slides, 0.06, 0.5)
-    positions = []
-    commands = []
+    own = []
+    measured = []
     for _ in range(runs):
-        moved, told = mover.run(size * _wanted(wave, len(size), steps, control, rng))
-        positions.append(np.round(moved / tick + 0.4 * rng.normal(size=moved.shape)) * tick)
-        commands.append(told)
+        run, last = mover.run(size * _wanted(wave, len(size), steps, control, rng))
+        moved = np.concatenate([run.positions, last[None]])
+        measured.append(np.round(moved / tick + JITTER * rng.normal(size=moved.shape)) * tick)
+        own.append(run)
+    commands = np.concatenate([run.commands for run in own])
     saturated = np.mean(np.abs(commands) >= LARGEST)
     if design.drives == "motor" and saturated > SATURATED:
         raise Lost(f"motors are at their limit for {saturated:.0%} of the time")
     ends = np.tile(np.arange(steps) == steps - 1, runs)
-    before = np.concatenate([read[:-1] for read in positions])
-    after = np.concatenate([read[1:] for read in positions])
-    return Trajectories(before, np.concatenate(commands), after, ends), control
+    before = np.concatenate([read[:-1] for read in measured])
+    after = np.concatenate([read[1:] for read in measured])
+    noise = tick * np.sqrt(JITTER**2 + 1 / 12)
+    return Log(Trajectories(before, commands, after, ends), control, noise, own)
 
 
 class _Mover:
@@ -95,25 +136,28 @@ class _Mover:
         self.joints = self.model.actuator_trnid[:, 0]
         self.slides = self.model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE
 
-    def run(self, wanted: Array) -> tuple[Array, Array]:
-        """(T + 1, n) positions and (T, nu) commands from rest at 0."""
+    def run(self, wanted: Array) -> tuple[Run, Array]:
+        """A run of T steps from rest at 0, and the positions (n,) after it."""
         mujoco.mj_resetData(self.model, self.data)
         speeds = np.gradient(wanted, self.control, axis=0)
         waiting = [np.zeros(self.model.nu)] * self.late
-        positions = [self.data.qpos.copy()]
+        positions = []
+        velocities = []
         commands = []
         for position, speed in zip(wanted, speeds, strict=True):
+            positions.append(self.data.qpos.copy())
+            velocities.append(self.data.qvel.copy())
             command = self._command(position, speed)
             commands.append(command)
             for _ in range(self.every):
                 waiting.append(command)
                 self.data.ctrl[:] = waiting.pop(0)
                 mujoco.mj_step(self.model, self.data)
-            positions.append(self.data.qpos.copy())
-        moved = np.array(positions)
-        if not (np.abs(moved) < FARTHEST).all() or self._is_reset():
+        last = self.data.qpos.copy()
+        run = Run(np.array(positions), np.array(velocities), np.array(commands))
+        if not (np.abs([*positions, last]) < FARTHEST).all() or self._is_reset():
             raise Lost("the machine runs away")
-        return moved, np.array(commands)
+        return run, last
 
     def _is_reset(self) -> bool:
         """Whether MuJoCo began anew where accelerations became too large."""
