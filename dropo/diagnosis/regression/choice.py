@@ -128,7 +128,7 @@ class Chooser:
         families.pop(INERTIA, ())
         found = self._by_gains(families, own)
         for few in self._few(families, own):
-            scaled = GAIN in found.chosen and self._has_weight_and_laws(few)
+            scaled = self._may_be_scaled(found) and self._has_weight_and_laws(few)
             if not scaled and not self._is_payload(few) and self._is_simpler(found, few):
                 found = few
         if not self._beside_laws(found):
@@ -197,6 +197,14 @@ class Chooser:
                 best = loaded
                 least = fitter.badness(loaded)
         return best
+
+    def _may_be_scaled(self, solution: Solution) -> bool:
+        """Whether the gain of all drives is wrong, or not known well enough to say that it is not.
+        """
+        if GAIN not in solution.chosen:
+            return False
+        error = float(np.sqrt(self.fitter.covariance(solution)[0, 0]))
+        return abs(solution.beta - 1) + error > self.settings.apart
 
     def _has_weight_and_laws(self, solution: Solution) -> bool:
         """Whether a payload or a body's numbers share the scale of all forces with laws.
@@ -270,15 +278,17 @@ class Chooser:
     def _is_simpler(self, found: Solution, other: Solution) -> bool:
         """Whether another solution explains as much in fewer things, or more in as many.
 
-        Of as many things the likelier one is chosen, with a price for each of its numbers.
+        Of as many things the likelier one is chosen, with a price for each of its numbers; what is
+        likelier may also leave more at some joint.
         """
-        if self._is_large(other, found.spread) or self._has_idle_drive(other):
+        better = self._criterion(other) < self._criterion(found)
+        less = self._is_large(other, found.spread)
+        if (less and not better) or self._has_idle_drive(other):
             return False
         fewer = self._candidates_in(found) - self._candidates_in(other)
         if fewer:
             return fewer > 0
-        better = self._criterion(other) < self._criterion(found)
-        return self._is_large(found, other.spread) or better
+        return better or self._is_large(found, other.spread)
 
     def _has_idle_drive(self, solution: Solution) -> bool:
         """Whether a drive by itself would give next to nothing."""
