@@ -1,5 +1,6 @@
 """Which other numbers have the same forces as one that was found, all others fitted again."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,10 @@ from dropo.diagnosis.search.plausibility import Plausibility
 
 WORSE = 0.02
 """Fraction by which the spread of what is left may grow by an exchange for a likelier number."""
+
+OF_A_PAYLOAD = 4
+"""Numbers of a payload, its mass and its place, each of which has the price of Schwarz's criterion.
+"""
 
 
 def term_similarities(fitter: Fitter, solution: Solution, index: int) -> Array:
@@ -81,7 +86,11 @@ def payload_similarities(fitter: Fitter, solution: Solution, without: Solution) 
 
 
 def most_plausible(
-    fitter: Fitter, solution: Solution, similarity: float, plausibility: Plausibility
+    fitter: Fitter,
+    solution: Solution,
+    bodies: Sequence[str],
+    similarity: float,
+    plausibility: Plausibility,
 ) -> Solution:
     """Exchange numbers for those of the same forces that machines rather have.
 
@@ -91,6 +100,8 @@ def most_plausible(
         The equation and its terms.
     solution : Solution
         The numbers.
+    bodies : sequence of str
+        Names of the moving bodies.
     similarity : float
         Cosine of two forces above which data cannot tell them apart.
     plausibility : Plausibility
@@ -99,7 +110,8 @@ def most_plausible(
     Returns
     -------
     Solution
-        The same where no term, and no payload, could be exchanged for a more usual number.
+        The same where no term, and no payload, could be exchanged for a more usual number, and no
+        body's mass and centre for a payload.
     """
     rows = float(fitter.equation.used.sum())
     for i in solution.terms:
@@ -119,15 +131,34 @@ def most_plausible(
                 solution = other
                 break
     if solution.payload is None:
-        return solution
+        return _with_payload(fitter, solution, bodies)
     return _without_payload(fitter, solution, plausibility)
+
+
+def _with_payload(fitter: Fitter, solution: Solution, bodies: Sequence[str]) -> Solution:
+    """A payload in the place of a body's mass and centre, if it leaves no more than these."""
+    terms = fitter.terms
+    rows = float(fitter.equation.used.sum())
+    for body, name in enumerate(bodies):
+        own = {k: terms[k].family for k in solution.terms if terms[k].target == name}
+        heavier = any(own[k] == "mass" and solution.sizes[k] > 0 for k in own)
+        if not heavier or "com" not in own.values():
+            continue
+        without = replace(solution, chosen=tuple(k for k in solution.chosen if k not in own))
+        other = fitter.refined(fitter.solve(fitter.loaded(without, (body,))))
+        if other.payload is None or other.payload.mass > fitter.heaviest:
+            continue
+        if fitter.badness(other) < fitter.badness(solution) + WORSE * rows:
+            return other
+    return solution
 
 
 def _without_payload(fitter: Fitter, solution: Solution, plausibility: Plausibility) -> Solution:
     """One more usual number in the place of a payload, if one leaves no more than that."""
     rows = float(fitter.equation.used.sum())
     best = solution
-    least = fitter.badness(solution) + WORSE * rows
+    saved = 0.5 * float(np.log(rows)) * (OF_A_PAYLOAD - 1)
+    least = fitter.badness(solution) + WORSE * rows + saved
     for k, term in enumerate(fitter.terms):
         if k in solution.chosen or plausibility.of(term.effect) <= plausibility.of("payload"):
             continue

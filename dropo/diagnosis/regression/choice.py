@@ -128,10 +128,10 @@ class Chooser:
         families.pop(INERTIA, ())
         found = self._by_gains(families, own)
         for few in self._few(families, own):
-            scaled = self._may_be_scaled(found) and self._has_weight_and_laws(few)
+            scaled = self._may_be_scaled(found) and self.has_weight_and_laws(few)
             if not scaled and not self._is_payload(few) and self._is_simpler(found, few):
                 found = few
-        if not self._beside_laws(found):
+        if not (self._beside_laws(found) or self._has_inertia(found)):
             return found
         body = self._of_one_body(families, [i for i in found.terms if i in own])
         if body is None or not self._is_simpler(found, body):
@@ -146,7 +146,7 @@ class Chooser:
         # Where each drive has a gain of its own, one of all drives says nothing new.
         common = self.fitter.equation.driven.any() and "gain" not in families
         shared = self._chosen_of(families, [(GAIN,)] if common else [])
-        if not own or not self._is_large(shared, 0.0):
+        if not own or not self._is_large(shared):
             return shared
         apart = self._chosen_of({**families, OWN_GAIN: own}, [(i,) for i in own])
         return apart if self._is_better(shared, apart) else shared
@@ -199,17 +199,25 @@ class Chooser:
         return best
 
     def _may_be_scaled(self, solution: Solution) -> bool:
-        """Whether the gain of all drives is wrong, or not known well enough to say that it is not.
-        """
+        """Whether the gain of all drives is wrong, or not known well enough to say that it is not."""
         if GAIN not in solution.chosen:
             return False
         error = float(np.sqrt(self.fitter.covariance(solution)[0, 0]))
         return abs(solution.beta - 1) + error > self.settings.apart
 
-    def _has_weight_and_laws(self, solution: Solution) -> bool:
-        """Whether a payload or a body's numbers share the scale of all forces with laws.
+    def has_weight_and_laws(self, solution: Solution) -> bool:
+        """Tell whether a payload or a body's numbers share the scale of all forces with laws.
 
         Where a gain is free beside such, its error is that of all of them.
+
+        Parameters
+        ----------
+        solution : Solution
+            The numbers.
+
+        Returns
+        -------
+        bool
         """
         laws = any(self.fitter.terms[i].family in LAWS for i in solution.terms)
         return laws and (solution.payload is not None or self._has_inertia(solution))
@@ -282,13 +290,13 @@ class Chooser:
         likelier may also leave more at some joint.
         """
         better = self._criterion(other) < self._criterion(found)
-        less = self._is_large(other, found.spread)
+        less = self._is_large(other, found)
         if (less and not better) or self._has_idle_drive(other):
             return False
         fewer = self._candidates_in(found) - self._candidates_in(other)
         if fewer:
             return fewer > 0
-        return better or self._is_large(found, other.spread)
+        return better or self._is_large(found, other)
 
     def _has_idle_drive(self, solution: Solution) -> bool:
         """Whether a drive by itself would give next to nothing."""
@@ -340,16 +348,18 @@ class Chooser:
         errors = self.held_out(reweighted, self.tables(reweighted))
         fraction, z = _worth(without, errors)
         certain = fraction > self.settings.improvement and z > self.settings.block_z
-        return certain and self._is_large(shared, apart.spread)
+        return certain and self._is_large(shared, apart)
 
-    def _is_large(self, shared: Solution, spread: Array | float) -> bool:
-        """Whether a spread, (nv,) or 0, is less than that of a solution by a large force.
+    def _is_large(self, solution: Solution, other: Solution | None = None) -> bool:
+        """Whether a solution leaves a large force, or a larger one by as much than another.
 
         By more, too, than the spreads of so many rows differ by chance.
         """
-        forces = root_mean_square(self.fitter.forces(shared.delay))
-        squares = np.where(forces > 0, shared.spread, 0.0) ** 2
-        explained = squares - np.square(spread)
+        forces = root_mean_square(self.fitter.forces(solution.delay))
+        squares = np.where(forces > 0, self.fitter.spread_of_drives(solution), 0.0) ** 2
+        explained = squares
+        if other is not None:
+            explained = squares - self.fitter.spread_of_drives(other) ** 2
         rows = np.maximum(self.fitter.equation.used.sum(axis=0), 1)
         chance = squares * np.sqrt(MEDIAN_VARIANCE / rows)
         large = np.maximum((self.settings.apart * forces) ** 2, self.settings.block_z * chance)

@@ -488,7 +488,28 @@ class Fitter:
             Less a constant, the negative log-likelihood of normal errors [nats].
         """
         rows = self.equation.used.sum(axis=0)
-        return float(rows @ np.log(np.where(rows > 0, solution.spread, 1.0)))
+        return float(rows @ np.log(np.where(rows > 0, self.spread_of_drives(solution), 1.0)))
+
+    def spread_of_drives(self, solution: Solution) -> Array:
+        """Return what is left in the drives' forces as the model has them.
+
+        A drive's noise shrinks with a gain of its own, which explains nothing.
+
+        Parameters
+        ----------
+        solution : Solution
+            The numbers, with the spread of what they leave.
+
+        Returns
+        -------
+        (nv,) array
+            [N, N m].
+        """
+        gains = np.zeros(len(solution.spread))
+        for i in solution.terms:
+            if self.terms[i].family == OWN_GAIN:
+                gains[np.any(self.terms[i].column != 0, axis=0)] = solution.sizes[i]
+        return np.asarray(solution.spread / np.maximum(1 + gains, LEAST_BETA))
 
     def residuals(self, solution: Solution) -> Array:
         """Compute the drives' forces less what is explained.

@@ -224,16 +224,18 @@ class Missing:
             count += solution.payload.mass > certain * error
         return count
 
-    def doubtful(self, certain: float) -> int | str | None:
+    def doubtful(self, certain: float, negligible: float) -> int | str | None:
         """Find the least certain number, if it is not certain.
 
-        The gain of all drives and the laws of several joints are none: left out, others would make
-        up for them.
+        The gain of all drives is none: left out, others would make up for it. Nor are the laws of
+        several joints, unless they are negligible and share no scale with a weight.
 
         Parameters
         ----------
         certain : float
             Standard errors within which of 0 a number is not certain.
+        negligible : float
+            The same within which a law of several joints is negligible.
 
         Returns
         -------
@@ -247,12 +249,13 @@ class Missing:
             # It stays free: were it left out, all other numbers would be off by its factor.
             errors.pop(0)
         laws = self.chooser.of_laws(solution)
+        if self.chooser.has_weight_and_laws(solution):
+            negligible = 1e-300
         for i in solution.terms:
-            ratio = abs(float(solution.sizes[i])) / errors.pop(0)
-            if i not in laws:
-                ratios[i] = ratio
-        least = min(ratios, key=lambda index: ratios[index], default=None)
-        return None if least is None or ratios[least] > certain else least
+            least = negligible if i in laws else certain
+            ratios[i] = abs(float(solution.sizes[i])) / (least * errors.pop(0))
+        least_certain = min(ratios, key=lambda index: ratios[index], default=None)
+        return None if least_certain is None or ratios[least_certain] > 1 else least_certain
 
     def without(self, index: int | str) -> Solution:
         """Take out one of the numbers, the rest as it is.

@@ -57,6 +57,8 @@ class QuickSettings:
         problem holds out no data.
     certain : float
         Standard errors that a number must be away from 0.
+    negligible : float
+        Standard errors from 0 within which a law is left out at one of the joints that have it.
     large : float
         The fraction of the drives' force from which a number is named although its size is not
         certain: where a gain and a payload share the scale of all forces, all sizes are uncertain.
@@ -98,6 +100,7 @@ class QuickSettings:
 
     checked: float = 0.2
     certain: float = 3.0
+    negligible: float = 1.0
     large: float = 0.03
     reach: float = 1.5
     bias: float = 0.02
@@ -419,12 +422,14 @@ def estimate_missing(
     )
     wide = _fitter(simulator, wide_equation, settings)
     chooser = Chooser(fitter, settings.choice)
-    solution = most_plausible(fitter, chooser.run(), settings.similarity, settings.plausibility)
     bodies = [name for _, name in moving_bodies(simulator.model)]
+    solution = most_plausible(
+        fitter, chooser.run(), bodies, settings.similarity, settings.plausibility
+    )
     while True:
         errors = _errors(simulator, fitter, wide, solution, settings)
         found = Missing(fitter, chooser, solution, errors, settings.large, bodies)
-        doubtful = found.doubtful(settings.certain)
+        doubtful = found.doubtful(settings.certain, settings.negligible)
         if doubtful is None:
             return found
         solution = fitter.refined(fitter.solve(found.without(doubtful)))
