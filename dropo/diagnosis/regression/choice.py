@@ -199,7 +199,7 @@ class Chooser:
         return best
 
     def _may_be_scaled(self, solution: Solution) -> bool:
-        """Whether the gain of all drives is wrong, or not known well enough to say that it is not."""
+        """Whether the gain of all drives is wrong, or too uncertain to say that it is not."""
         if GAIN not in solution.chosen:
             return False
         error = float(np.sqrt(self.fitter.covariance(solution)[0, 0]))
