@@ -1,6 +1,5 @@
 """Which other numbers have the same forces as one that was found, all others fitted again."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -88,7 +87,6 @@ def payload_similarities(fitter: Fitter, solution: Solution, without: Solution) 
 def most_plausible(
     fitter: Fitter,
     solution: Solution,
-    bodies: Sequence[str],
     similarity: float,
     plausibility: Plausibility,
 ) -> Solution:
@@ -100,8 +98,6 @@ def most_plausible(
         The equation and its terms.
     solution : Solution
         The numbers.
-    bodies : sequence of str
-        Names of the moving bodies.
     similarity : float
         Cosine of two forces above which data cannot tell them apart.
     plausibility : Plausibility
@@ -110,8 +106,7 @@ def most_plausible(
     Returns
     -------
     Solution
-        The same where no term, and no payload, could be exchanged for a more usual number, and no
-        body's mass and centre for a payload.
+        The same where no term, and no payload, could be exchanged for a more usual number.
     """
     rows = float(fitter.equation.used.sum())
     for i in solution.terms:
@@ -131,26 +126,8 @@ def most_plausible(
                 solution = other
                 break
     if solution.payload is None:
-        return _with_payload(fitter, solution, bodies)
+        return solution
     return _without_payload(fitter, solution, plausibility)
-
-
-def _with_payload(fitter: Fitter, solution: Solution, bodies: Sequence[str]) -> Solution:
-    """A payload in the place of a body's mass and centre, if it leaves no more than these."""
-    terms = fitter.terms
-    rows = float(fitter.equation.used.sum())
-    for body, name in enumerate(bodies):
-        own = {k: terms[k].family for k in solution.terms if terms[k].target == name}
-        heavier = any(own[k] == "mass" and solution.sizes[k] > 0 for k in own)
-        if not heavier or "com" not in own.values():
-            continue
-        without = replace(solution, chosen=tuple(k for k in solution.chosen if k not in own))
-        other = fitter.refined(fitter.solve(fitter.loaded(without, (body,))))
-        if other.payload is None or other.payload.mass > fitter.heaviest:
-            continue
-        if fitter.badness(other) < fitter.badness(solution) + WORSE * rows:
-            return other
-    return solution
 
 
 def _without_payload(fitter: Fitter, solution: Solution, plausibility: Plausibility) -> Solution:

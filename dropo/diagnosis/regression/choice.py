@@ -47,6 +47,8 @@ class ChoiceSettings:
         reading: what its joint lacks has shrunk together with its noise.
     wald : float
         Smallest square of a term's size, in squares of its standard error, with which it is kept.
+    decisive : float
+        By how much other numbers must be likelier than those found first [nats].
     payload : float
         Fraction by which a payload must lower the spread of what is left at the joints.
     heavier : float
@@ -65,6 +67,7 @@ class ChoiceSettings:
     apart: float = 0.02
     idle: float = 1 / 3
     wald: float = 16.0
+    decisive: float = 3.0
     payload: float = 0.02
     heavier: float = 0.5
     passes: int = 4
@@ -289,7 +292,7 @@ class Chooser:
         Of as many things the likelier one is chosen, with a price for each of its numbers; what is
         likelier may also leave more at some joint.
         """
-        better = self._criterion(other) < self._criterion(found)
+        better = self._criterion(other) < self._criterion(found) - self.settings.decisive
         less = self._is_large(other, found)
         if (less and not better) or self._has_idle_drive(other):
             return False

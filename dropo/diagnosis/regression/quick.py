@@ -422,10 +422,8 @@ def estimate_missing(
     )
     wide = _fitter(simulator, wide_equation, settings)
     chooser = Chooser(fitter, settings.choice)
+    solution = most_plausible(fitter, chooser.run(), settings.similarity, settings.plausibility)
     bodies = [name for _, name in moving_bodies(simulator.model)]
-    solution = most_plausible(
-        fitter, chooser.run(), bodies, settings.similarity, settings.plausibility
-    )
     while True:
         errors = _errors(simulator, fitter, wide, solution, settings)
         found = Missing(fitter, chooser, solution, errors, settings.large, bodies)
