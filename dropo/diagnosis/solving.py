@@ -6,9 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from dropo.core.contracts.effect import EffectInstance
-from dropo.core.services.tables import number, steps_text
 from dropo.data.outliers.without_disturbances import WithoutDisturbances
-from dropo.diagnosis.findings.accuracy.every_horizon import Beyond
 from dropo.diagnosis.findings.premises.numerics import refused_delay, short_delay
 from dropo.diagnosis.parts import Leader
 from dropo.diagnosis.search.arithmetic import Arithmetic, ArithmeticAlternatives
@@ -313,8 +311,10 @@ def without_worse(
     return setup, replace(searched, last=further, reviews=reviews)
 
 
-def worse_leader(searched: SearchedEffects, instance: EffectInstance, beyond: Beyond) -> Leader:
-    """Return what is said of an effect with which errors after some horizon are larger.
+def refused_leader(
+    searched: SearchedEffects, instance: EffectInstance, why: str, steps: int
+) -> Leader:
+    """Return what is said of an effect that errors after the horizons that are printed refuse.
 
     Parameters
     ----------
@@ -322,15 +322,16 @@ def worse_leader(searched: SearchedEffects, instance: EffectInstance, beyond: Be
         What a search ended with.
     instance : EffectInstance
         One of its effects.
-    beyond : Beyond
-        By how much errors are larger, and after which horizon.
+    why : str
+        Why it is refused.
+    steps : int
+        Of windows in which it may be found [control steps].
 
     Returns
     -------
     Leader
     """
     gain, z = gain_of(searched.reviews[instance.label].without.test, searched.last.test)
-    after = f"errors after {steps_text(beyond.steps)} are {number(beyond.ratio, 3)} times"
     return Leader(
         effect=instance.effect,
         target=instance.target,
@@ -338,8 +339,8 @@ def worse_leader(searched: SearchedEffects, instance: EffectInstance, beyond: Be
         gain=gain,
         gain_se=gain / z if z > 0 else np.nan,
         times=np.nan,
-        why=f"{after} those without it ({beyond.unit})",
-        steps=beyond.steps,
+        why=why,
+        steps=steps,
     )
 
 

@@ -7,6 +7,9 @@ from dropo.core.services.validation import Array
 RIDGE = 1e-10
 """Added to the diagonal of the scaled matrix: numbers that act alike share what they explain."""
 
+EXCHANGES = 300
+"""At most, of one or more numbers; beyond it rounding decides where they are."""
+
 PATIENCE = 3
 """Exchanges in a row that bring no number nearer to its place, before one is made at a time."""
 
@@ -54,7 +57,7 @@ def bounded_minimum(
     side = np.zeros(len(moving))  # -1 at the lower bound, 1 at the upper, 0 between
     fewest = len(moving) + 1
     patience = PATIENCE
-    while True:
+    for _ in range(EXCHANGES):
         free = side == 0
         value = np.where(side < 0, low, high)
         value[free] = 0.0
@@ -64,8 +67,7 @@ def bounded_minimum(
         above = value > high + rounding
         wrong = np.where(free, below | above, side * slope > rounding)
         if not wrong.any():
-            found[moving] = np.clip(value / scale, lowest[moving], highest[moving])
-            return found
+            break
         count = int(wrong.sum())
         patience = PATIENCE if count < fewest else patience - 1
         fewest = min(count, fewest)
@@ -73,3 +75,19 @@ def bounded_minimum(
             wrong[: np.flatnonzero(wrong)[-1]] = False
         there = above.astype(float) - below.astype(float)
         side = np.where(wrong, np.where(free, there, 0.0), side)
+    else:
+        value = _by_interior_points(matrix, aim, low, high)
+    found[moving] = np.clip(value / scale, lowest[moving], highest[moving])
+    return found
+
+
+def _by_interior_points(matrix: Array, aim: Array, low: Array, high: Array) -> Array:
+    """The same of a matrix (k, k) in which rounding leaves no order of exchanges."""
+    from scipy.optimize import lsq_linear  # slow to import
+
+    size, directions = np.linalg.eigh(matrix)
+    root = np.sqrt(np.maximum(size, RIDGE))
+    rows = root[:, None] * directions.T
+    # A number without room still needs an interval.
+    high = np.maximum(high, low + 1e-12 * np.maximum(1.0, np.abs(low)))
+    return np.asarray(lsq_linear(rows, (aim @ directions) / root, (low, high)).x)

@@ -691,13 +691,15 @@ class Chooser:
         grams = tables.grams[:, there[:, None], there]
         by_block = tables.moments[:, there]
         free = np.searchsorted(there, free)
-        gram = grams.sum(axis=0)
-        moments = by_block.sum(axis=0)
-        for number in np.unique(fold):
+        numbers = np.unique(fold)
+        fold_grams = np.stack([grams[fold == number].sum(axis=0) for number in numbers])
+        fold_moments = np.stack([by_block[fold == number].sum(axis=0) for number in numbers])
+        for number in numbers:
             own = fold == number
-            other_gram = gram - grams[own].sum(axis=0)
-            other_moments = moments - by_block[own].sum(axis=0)
-            found = np.zeros(len(gram))
+            # Added up, not the sum less one fold: all may lie in that one but rounding.
+            other_gram = fold_grams[numbers != number].sum(axis=0)
+            other_moments = fold_moments[numbers != number].sum(axis=0)
+            found = np.zeros(len(there))
             if GAIN not in solution.chosen:
                 found[0] = 1.0
                 other_moments = other_moments - other_gram[:, 0]

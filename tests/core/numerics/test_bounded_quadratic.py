@@ -51,3 +51,18 @@ def test_the_minimum_is_that_of_a_bounded_solver():
         clipped = np.sum((target - columns @ np.clip(free, low, high)) ** 2)
         clipped_too_high += clipped > least * (1 + 1e-6)
     assert clipped_too_high > 50
+
+
+def test_a_matrix_that_rounding_has_bent_is_no_endless_search():
+    """With a direction of negative curvature, which no sum of squares has, it ends in the bounds."""
+    rng = np.random.default_rng(4)
+    for _ in range(50):
+        k = int(rng.integers(3, 10))
+        columns = rng.normal(size=(20, k))
+        gram = columns.T @ columns
+        size, directions = np.linalg.eigh(gram)
+        gram = (directions * np.r_[-0.05 * size[-1], size[1:]]) @ directions.T
+        moments = columns.T @ rng.normal(size=20)
+        low, high = np.full(k, -0.1), np.full(k, 0.2)
+        found = bounded_minimum(gram, moments, low, high)
+        assert np.all((found >= low) & (found <= high))
