@@ -54,7 +54,7 @@ def test_the_minimum_is_that_of_a_bounded_solver():
 
 
 def test_a_matrix_that_rounding_has_bent_is_no_endless_search():
-    """With a direction of negative curvature, which no sum of squares has, it ends in the bounds."""
+    """With a direction of negative curvature, as of no sum of squares, it ends in the bounds."""
     rng = np.random.default_rng(4)
     for _ in range(50):
         k = int(rng.integers(3, 10))
