@@ -14,14 +14,12 @@ from dropo.core.contracts.estimator import Progress, silent, with_cost
 from dropo.core.contracts.problem import Problem
 from dropo.core.services.errors import BadArgument
 from dropo.core.services.files.evaluation_log import EvaluationLog
-from dropo.core.services.tables import number, steps_text
 from dropo.core.services.validation import require
 from dropo.data.outliers.without_disturbances import WithoutDisturbances, without_disturbances
 from dropo.diagnosis.far_off.search import Explained, FarOffSearch
 from dropo.diagnosis.far_off.start import FarOffStart, start_of
 from dropo.diagnosis.findings.accuracy.every_horizon import (
     beyond_noise,
-    explained_share,
     in_words,
     worse_after,
 )
@@ -83,12 +81,12 @@ from dropo.diagnosis.setup import (
     refuse_constant,
 )
 from dropo.diagnosis.solving import (
-    refused_leader,
     solved,
     with_another_set,
     with_noise_left,
     without_short_delays,
     without_worse,
+    worse_leader,
 )
 from dropo.evaluation.held_out import OF_DIAGNOSIS
 
@@ -391,8 +389,6 @@ class Diagnose:
                 return self._result(task, *further, progress)
             setup = replace(setup, sought=True)
         worse = self._worse(of_each, searched)
-        if not (worse or rest.calibrated):
-            worse = self._too_unusual(setup, of_each, searched)
         far_off = setup.explained is not None
         if worse and not far_off and len(setup.worse) < self.settings.horizons.refused:
             further = without_worse(setup, searched, *next(iter(worse.items())))
@@ -619,36 +615,9 @@ class Diagnose:
         for i, instance in enumerate(searched.last.accepted):
             beyond = worse_after(after, 3 + i, 2, self.settings.horizons)
             if beyond is not None:
-                after_it = f"errors after {steps_text(beyond.steps)}"
-                why = f"{after_it} are {number(beyond.ratio, 3)} times those without it"
-                leader = refused_leader(searched, instance, f"{why} ({beyond.unit})", beyond.steps)
-                found.append((instance.label, beyond.score, leader))
-        found.sort(key=lambda one: -one[1])
-        return {label: leader for label, _, leader in found}
-
-    def _too_unusual(
-        self, setup: SearchSetup, after: Sequence[AfterHorizon], searched: SearchedEffects
-    ) -> dict[str, Leader]:
-        """The effects that explain too little of what remains unexplained, for effects so unusual.
-
-        By label, the one that misses its part most first. after: as of `_worse`. A model that is
-        far off lacks many things, each of which explains little.
-        """
-        if searched.interrupted or not after or setup.explained is not None:
-            return {}
-        horizons = self.settings.horizons
-        found = []
-        for i, instance in enumerate(searched.last.accepted):
-            odds = setup.selection.settings.plausibility.of(instance.effect)
-            needed = -horizons.share * odds
-            share = explained_share(after, 3 + i, 2, horizons)
-            if share < needed:
-                part = f"it explains {number(share, 2)} times what remains unexplained"
-                why = f"{part}, and is unusual"
-                leader = refused_leader(searched, instance, why, 0)
-                found.append((instance.label, share / needed, leader))
-        found.sort(key=lambda one: one[1])
-        return {label: leader for label, _, leader in found}
+                found.append((instance, beyond))
+        found.sort(key=lambda one: -one[1].score)
+        return {one.label: worse_leader(searched, one, beyond) for one, beyond in found}
 
     def _after_every_horizon(
         self,

@@ -434,7 +434,7 @@ class Leader:
     why : str
         Why it is no cause all the same, where data held out are sure of the gain; else "".
     steps : int
-        The horizon [control steps] that speaks against it then, if one does; else 0.
+        The horizon [control steps] that speaks against it then; else 0.
     """
 
     effect: str
@@ -452,8 +452,9 @@ class Leader:
         place = effect_in_words(self.effect, self.target, self.variant)
         gain = f"{number(self.gain, 3)} +- {number(self.gain_se, 2)} nats on data held out"
         if self.why:
-            advice = f"; diagnose with --steps {self.steps}" if self.steps else ""
-            return f"not accepted: {place}, {gain}, but {self.why}{advice}"
+            return (
+                f"not accepted: {place}, {gain}, but {self.why}; diagnose with --steps {self.steps}"
+            )
         record = "record other motion"
         if np.isfinite(self.times):
             record = f"record {number(max(2.0, self.times), 2)} times as much to be sure"

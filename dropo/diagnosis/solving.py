@@ -6,7 +6,9 @@ from dataclasses import replace
 import numpy as np
 
 from dropo.core.contracts.effect import EffectInstance
+from dropo.core.services.tables import number, steps_text
 from dropo.data.outliers.without_disturbances import WithoutDisturbances
+from dropo.diagnosis.findings.accuracy.every_horizon import Beyond
 from dropo.diagnosis.findings.premises.numerics import refused_delay, short_delay
 from dropo.diagnosis.parts import Leader
 from dropo.diagnosis.search.arithmetic import Arithmetic, ArithmeticAlternatives
@@ -311,10 +313,8 @@ def without_worse(
     return setup, replace(searched, last=further, reviews=reviews)
 
 
-def refused_leader(
-    searched: SearchedEffects, instance: EffectInstance, why: str, steps: int
-) -> Leader:
-    """Return what is said of an effect that errors after the horizons that are printed refuse.
+def worse_leader(searched: SearchedEffects, instance: EffectInstance, beyond: Beyond) -> Leader:
+    """Return what is said of an effect with which errors after some horizon are larger.
 
     Parameters
     ----------
@@ -322,16 +322,15 @@ def refused_leader(
         What a search ended with.
     instance : EffectInstance
         One of its effects.
-    why : str
-        Why it is refused.
-    steps : int
-        Of windows in which it may be found [control steps].
+    beyond : Beyond
+        By how much errors are larger, and after which horizon.
 
     Returns
     -------
     Leader
     """
     gain, z = gain_of(searched.reviews[instance.label].without.test, searched.last.test)
+    after = f"errors after {steps_text(beyond.steps)} are {number(beyond.ratio, 3)} times"
     return Leader(
         effect=instance.effect,
         target=instance.target,
@@ -339,8 +338,8 @@ def refused_leader(
         gain=gain,
         gain_se=gain / z if z > 0 else np.nan,
         times=np.nan,
-        why=why,
-        steps=steps,
+        why=f"{after} those without it ({beyond.unit})",
+        steps=beyond.steps,
     )
 
 

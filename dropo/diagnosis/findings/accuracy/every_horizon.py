@@ -1,6 +1,5 @@
 """What is said of a model after every horizon that is printed: whether an effect makes errors
-larger, whether it explains enough for one so unusual, and whether noise explains those that are
-left.
+larger, and whether noise explains those that are left.
 
 Errors are compared by their squares, a signal's by no more than the square of its spread: beyond it
 the motion is lost, and by how much says nothing. A simulation that failed has lost it too.
@@ -33,9 +32,6 @@ class EveryHorizonSettings:
         than noise explains.
     misfit : float
         The part by which it must be larger than noise explains.
-    share : float
-        Where something remains unexplained, an effect must explain this part of it for each nat by
-        which it is less usual than others: anything that bends may make up for a part.
     few : int
         Runs or parts below which their spread says little: the root mean square must then be ...
     times : float
@@ -50,7 +46,6 @@ class EveryHorizonSettings:
     z: float = 3.0
     worse: float = 0.03
     misfit: float = 0.25
-    share: float = 0.1
     few: int = 5
     times: float = 2.0
     refused: int = 6
@@ -117,45 +112,6 @@ def worse_after(
                 ratio = float(np.sqrt(new.mean() / max(old.mean(), 1e-300)))
                 largest.append(Beyond(after.steps, unit, ratio, beyond))
     return max(largest, key=lambda one: one.score, default=None)
-
-
-def explained_share(
-    found: Sequence[AfterHorizon],
-    without: int,
-    model: int,
-    settings: EveryHorizonSettings = SETTINGS,
-) -> float:
-    """Compute what an effect explains, as a part of what remains unexplained with it.
-
-    Parameters
-    ----------
-    found : sequence of AfterHorizon
-        Every horizon.
-    without, model : int
-        Which of the models; that without the effect, and that with it.
-    settings : EveryHorizonSettings
-        When errors are larger than noise explains.
-
-    Returns
-    -------
-    float
-        Of the squares of errors after the horizon, and in the unit, where it is most; infinite if
-        it explains some after a horizon that noise explains the rest of.
-    """
-    shares = [0.0]
-    for after in found:
-        for (_, old, _), (_, new, size), (_, noise, _) in zip(
-            _lines(after, after.errors[[without]]),
-            _lines(after, after.errors[[model]]),
-            _lines(after, after.by_noise),
-            strict=True,
-        ):
-            explained = old - new
-            if new.mean() > (1 + settings.misfit) ** 2 * noise.mean():
-                shares.append(float(explained.mean() / (new.mean() - noise.mean())))
-            elif _beyond(explained, old, size, after.block, settings.worse, settings) is not None:
-                shares.append(np.inf)
-    return max(shares)
 
 
 def beyond_noise(

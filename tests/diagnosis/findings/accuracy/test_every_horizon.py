@@ -16,7 +16,6 @@ from dropo.diagnosis.findings.accuracy.every_horizon import (
     Beyond,
     EveryHorizonSettings,
     beyond_noise,
-    explained_share,
     in_words,
     worse_after,
 )
@@ -186,35 +185,6 @@ def test_a_verdict_holds_after_every_horizon():
     assert "after 5 steps" in found.remaining.where[-1]
     assert "what noise explains" in found.headline()
     assert any("diagnose with --steps 5" in text for text in found.warnings)
-
-
-def test_what_an_effect_explains_of_what_remains():
-    """With errors of twice the noise, and 1.2 times as large without: 0.44 of four less one. After
-    a horizon where noise explains the rest, what grows for certain is all; what does not is none.
-    """
-    found = after(20, 0.02)
-    without = replace(found, errors=np.concatenate([1.2 * found.errors, found.errors]))
-    assert explained_share([without], 0, 1) == pytest.approx(0.44 * 4 / 3, rel=0.25)
-    assert explained_share([without, after(100, 0.02, 0.01)], 0, 1) == np.inf
-    assert explained_share([after(100, 0.01, 0.01)], 0, 1) == 0.0
-
-
-def test_an_unusual_effect_that_explains_little_is_not_accepted(monkeypatch):
-    """Beside damping that is not looked for, a spring is found; of one that explains a tenth of the
-    part that it should, it is said why it is none. The control is the same diagnosis left alone.
-    """
-    hidden = problem([("joint_damping:elbow", [0.05]), ("joint_stiffness:shoulder", [2.0])])
-    diagnose = Diagnose(("joint_stiffness:shoulder",), length=5, windows=16, disturbances=False)
-    alone = diagnose.run(hidden)
-    assert [one.place for one in alone.causes] == ["joint stiffness at shoulder"]
-    assert alone.verdict == "partly"
-    monkeypatch.setattr(module, "explained_share", lambda *given: 0.01)
-    found = diagnose.run(hidden)
-    assert found.causes == ()
-    (leader, *_) = found.leaders
-    assert (leader.effect, leader.target, leader.steps) == ("joint_stiffness", "shoulder", 0)
-    assert "it explains 0.01 times what remains unexplained, and is unusual" in str(found)
-    assert "--steps 0" not in str(found)
 
 
 def test_an_effect_that_makes_some_horizon_worse_is_not_accepted(monkeypatch):
