@@ -323,7 +323,7 @@ def fit_reweighted(
     last_scale = np.full(1, np.inf)
     for _ in range(settings.rounds):
         errors = rows.errors(value[None])[0]
-        scale = np.maximum(deviation(errors), 1e-300)
+        scale = _usual(errors)
         if np.all(np.abs(scale / last_scale - 1) < settings.same_scale):
             break
         last_scale = scale
@@ -343,6 +343,12 @@ def fit_reweighted(
         inverse=np.linalg.inv(information + prior),
         scores=weights[:, None] * np.einsum("wpd,wp->wd", scaled_jacobian, state.errors),
     )
+
+
+def _usual(errors: Array) -> Array:
+    """(p,) usual sizes of errors (R, p), a millionth of their root mean square at least."""
+    size = np.sqrt(np.nanmean(errors**2, axis=0))
+    return np.where(size > 0, np.maximum(deviation(errors), 1e-6 * size), 1.0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -60,12 +60,12 @@ def robust_fit(
     bounds = (space.lower, space.upper) if beyond else (space.low, space.high)
     value = np.clip(float_array("start", start, (len(space),), "robust_fit"), *bounds)
     width = space.high - space.low
-    rows = _Windows(simulator, windows, simulator.targets(windows), step * width)
+    rows = _FittedWindows(simulator, windows, simulator.targets(windows), step * width)
     return fit_reweighted(rows, value, bounds, width, settings)
 
 
 @dataclass(frozen=True, eq=False)
-class _Windows:
+class _FittedWindows:
     """Windows as rows, with their targets (W, p) and half widths (d,) of differences."""
 
     simulator: Simulator

@@ -51,6 +51,15 @@ def test_outliers_count_for_little():
     np.testing.assert_allclose(found.scores.sum(axis=0), 0, atol=1e-2 * np.abs(found.scores).sum())
 
 
+def test_rows_without_noise_are_fitted_to_the_end():
+    """Where most errors become 0 but for rounding, the outliers pull no more than before."""
+    rows = Lines(20)
+    rows.measured = rows.slopes @ [3.0, 5.0]
+    rows.measured[:20] += 20.0
+    found = fit_reweighted(rows, np.array([1.0, 1.0]), BOX, np.ones(2), SETTINGS)
+    np.testing.assert_allclose(found.value, [3, 5], atol=1e-9)
+
+
 def test_a_reweighted_fit_stays_in_the_box_and_takes_short_steps():
     """A bound below the truth is where it ends; no step is longer than a quarter of the width."""
     rows = Lines(0)
