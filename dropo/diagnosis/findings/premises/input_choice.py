@@ -8,8 +8,8 @@ from dropo.data.outliers.input_choice import InputChoice, choose_input
 from dropo.diagnosis.search.library import declared, robot_of
 
 LOSSES = ("joint_friction", "joint_armature")
-"""What a joint's torque is spent on before the link feels it: without these, a first model would
-trust the wrong command."""
+"""What a joint's torque is spent on before the link feels it: without these, a first model may not
+tell commands apart."""
 
 
 def choose_problem_input(
