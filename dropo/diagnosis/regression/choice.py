@@ -642,7 +642,8 @@ class Chooser:
             Of the B blocks of time, in their order.
         """
         fitter = self.fitter
-        needed, terms, payload, target = fitter.linear_columns(solution)
+        every = range(len(fitter.terms))
+        needed, terms, payload, target = fitter.linear_columns(solution, every)
         columns = np.concatenate([needed[:, :, None], terms, payload[:, :, None]], axis=2)
         columns = columns * solution.weights[:, :, None]
         target = target * solution.weights

@@ -282,20 +282,24 @@ class Fitter:
         """
         return np.where(self.equation.driven, solution.beta, 1.0)
 
-    def linear_columns(self, solution: Solution) -> tuple[Array, Array, Array, Array]:
+    def linear_columns(
+        self, solution: Solution, terms: Sequence[int]
+    ) -> tuple[Array, Array, Array, Array]:
         """Return the columns of a linear solve, whose unknowns are multiplied by beta.
 
         Parameters
         ----------
         solution : Solution
             The delay, the payload's place, and the gain, by which rows without a drive are divided.
+        terms : sequence of int
+            Indices of k terms.
 
         Returns
         -------
         needed : (R, nv) array
             What the model needs where there are drives, 0 elsewhere [N, N m].
-        terms : (R, nv, K) array
-            The force that one unit of each term needs.
+        columns : (R, nv, k) array
+            The force that one unit of each of those terms needs.
         payload : (R, nv) array
             That of 1 kg of the payload; 0 where there is none.
         target : (R, nv) array
@@ -308,8 +312,8 @@ class Fitter:
         if solution.payload is not None:
             payload = self.payload_column(solution.payload) * scale
         target = self.drives(solution.delay) - np.where(driven, 0.0, self.equation.needed)
-        terms = self.columns_at(solution.delay, range(len(self.terms)))
-        return needed, terms * scale[:, None], payload, target
+        columns = self.columns_at(solution.delay, terms)
+        return needed, columns * scale[:, None], payload, target
 
     def solve(self, solution: Solution) -> Solution:
         """Fit the sizes, the gain and the payload's mass by least squares, robustly weighted.
@@ -343,11 +347,12 @@ class Fitter:
 
     def _system(self, solution: Solution) -> tuple[Array, Array, Array]:
         """Columns (R, nv, k), what they explain (R, nv), and lower bounds (k,)."""
-        needed, terms, payload, target = self.linear_columns(solution)
+        own = list(solution.terms)
+        needed, terms, payload, target = self.linear_columns(solution, own)
         columns = []
         lowest = []
         for i in solution.chosen:
-            columns.append(needed if i == GAIN else terms[:, :, i])
+            columns.append(needed if i == GAIN else terms[:, :, own.index(i)])
             lowest.append(LEAST_BETA if i == GAIN else solution.beta * self.terms[i].lowest)
         if solution.payload is not None:
             columns.append(payload)
