@@ -249,13 +249,15 @@ class Missing:
             # It stays free: were it left out, all other numbers would be off by its factor.
             errors.pop(0)
         laws = self.chooser.of_laws(solution)
-        if self.chooser.has_weight_and_laws(solution):
-            negligible = 1e-300
+        shared = self.chooser.has_weight_and_laws(solution)
         for i in solution.terms:
-            least = negligible if i in laws else certain
-            ratios[i] = abs(float(solution.sizes[i])) / (least * errors.pop(0))
-        least_certain = min(ratios, key=lambda index: ratios[index], default=None)
-        return None if least_certain is None or ratios[least_certain] > 1 else least_certain
+            ratio = abs(float(solution.sizes[i])) / errors.pop(0)
+            if i not in laws:
+                ratios[i] = ratio / certain
+            elif not shared:
+                ratios[i] = ratio / negligible
+        least = min(ratios, key=lambda index: ratios[index], default=None)
+        return None if least is None or ratios[least] > 1 else least
 
     def without(self, index: int | str) -> Solution:
         """Take out one of the numbers, the rest as it is.
