@@ -21,7 +21,7 @@ BOX = (np.zeros(2), np.full(2, 10.0))
 
 
 class Lines:
-    """Rows of y = a + b x with noise of 0.1, some of which are 20 off."""
+    """Rows of y = a + b x with noise of 0.1, some of which are 20 off; counts its Jacobians."""
 
     def __init__(self, outliers, seed=0):
         rng = np.random.default_rng(seed)
@@ -29,11 +29,13 @@ class Lines:
         self.slopes = np.stack([np.ones(200), x], axis=1)
         self.measured = self.slopes @ [3.0, 5.0] + 0.1 * rng.normal(size=200)
         self.measured[:outliers] += 20.0
+        self.differentiated = 0
 
     def errors(self, values):
         return (self.measured - values @ self.slopes.T)[..., None]
 
     def jacobian(self, value, close):
+        self.differentiated += 1
         return self.slopes[:, None, :]
 
 
@@ -74,6 +76,7 @@ def test_a_reweighted_fit_stays_in_the_box_and_takes_short_steps():
     found = fit_reweighted(rows, np.full(2, 1.0), box, np.full(2, 4.0), SETTINGS)
     assert found.value[1] == 4.0
     assert np.abs(np.diff(tried, axis=0)).max() <= 1.0 + 1e-12
+    assert rows.differentiated <= SETTINGS.steps.iterations
 
 
 def test_a_reweighted_fit_of_bent_rows_ends_at_the_same_place_from_everywhere():
