@@ -319,41 +319,41 @@ def fit_reweighted(
     Lange, Little, Taylor, Journal of the American Statistical Association 84 (1989), 881.
     """
     value = start
+    errors = rows.errors(start[None])[0]
     jacobian = None
     last_scale = np.full(1, np.inf)
     for _ in range(settings.rounds):
-        errors = rows.errors(value[None])[0]
         scale = _usual(errors)
         if np.all(np.abs(scale / last_scale - 1) < settings.same_scale):
             break
         last_scale = scale
         problem = _ReweightedRows(rows, bounds, width, scale, settings)
-        state, jacobian = maximize(
-            problem, problem.at(value[None])[0], settings.steps, jacobian=jacobian
-        )
+        begun = problem.at(value, errors)
+        state, jacobian = maximize(problem, begun, settings.steps, jacobian=jacobian)
         value = state.value
+        errors = state.errors
     if jacobian is None:
         jacobian = problem.differentiate(state, False)
-    scaled_jacobian, weights = problem.scaled(state, jacobian)
+    scaled_jacobian, scaled, weights = problem.scaled(state, jacobian)
     information = np.einsum("w,wpd,wpe->de", weights, scaled_jacobian, scaled_jacobian)
     prior = np.eye(len(start)) / settings.steps.prior_width**2
     return ReweightedFit(
-        value=state.value,
+        value=value,
         information=information,
         inverse=np.linalg.inv(information + prior),
-        scores=weights[:, None] * np.einsum("wpd,wp->wd", scaled_jacobian, state.errors),
+        scores=weights[:, None] * np.einsum("wpd,wp->wd", scaled_jacobian, scaled),
     )
 
 
 def _usual(errors: Array) -> Array:
     """(p,) usual sizes of errors (R, p), a millionth of their root mean square at least."""
-    size = np.sqrt(np.nanmean(errors**2, axis=0))
+    size = np.sqrt(np.mean(errors**2, axis=0))
     return np.where(size > 0, np.maximum(deviation(errors), 1e-6 * size), 1.0)
 
 
 @dataclass(frozen=True, eq=False)
 class _RowsAt:
-    """Parameters (d,), the scaled errors (R, p) under them, and their log-likelihood [nats]."""
+    """Parameters (d,), the errors (R, p) under them, and their log-likelihood [nats]."""
 
     value: Array
     errors: Array
@@ -370,21 +370,17 @@ class _ReweightedRows:
     scale: Array
     settings: ReweightingSettings
 
-    def at(self, values: Array) -> list[_RowsAt]:
-        """Evaluate parameters (K, d)."""
+    def at(self, value: Array, errors: Array) -> _RowsAt:
+        """Parameters (d,) with the errors (R, p) under them."""
         degrees = self.settings.degrees
-        found = []
-        for value, errors in zip(values, self.rows.errors(values), strict=True):
-            scaled = errors / self.scale
-            surprise = np.log1p(np.mean(scaled**2, axis=1) / degrees).sum()
-            found.append(_RowsAt(value, scaled, -0.5 * (degrees + 1) * float(surprise)))
-        return found
+        surprise = np.log1p(np.mean((errors / self.scale) ** 2, axis=1) / degrees).sum()
+        return _RowsAt(value, errors, -0.5 * (degrees + 1) * float(surprise))
 
-    def scaled(self, state: _RowsAt, jacobian: Array) -> tuple[Array, Array]:
-        """Jacobian (R, p, d) by the scaled parameters, and weights (R,) of the rows."""
-        squares = np.mean(state.errors**2, axis=1)
-        weights = student_t_weights(squares, 1, self.settings.degrees)
-        return jacobian * self.width / self.scale[:, None], weights
+    def scaled(self, state: _RowsAt, jacobian: Array) -> tuple[Array, Array, Array]:
+        """Jacobian (R, p, d) and errors (R, p) in units of widths and scale, and weights (R,)."""
+        scaled = state.errors / self.scale
+        weights = student_t_weights(np.mean(scaled**2, axis=1), 1, self.settings.degrees)
+        return jacobian * self.width / self.scale[:, None], scaled, weights
 
     def differentiate(self, state: _RowsAt, close: bool) -> Array:
         """See `SteppedObjective`."""
@@ -392,21 +388,22 @@ class _ReweightedRows:
 
     def step(self, state: _RowsAt, jacobian: Array) -> tuple[Array, float]:
         """See `SteppedObjective`."""
-        scaled_jacobian, weights = self.scaled(state, jacobian)
+        scaled_jacobian, scaled, weights = self.scaled(state, jacobian)
         root = np.sqrt(weights / len(self.scale))[:, None]
         low, high = ((bound - state.value) / self.width for bound in self.bounds)
         longest = self.settings.maximum_step
         d = len(self.width)
         return damped_step(
             (root[..., None] * scaled_jacobian).reshape(-1, d).T,
-            (root * state.errors).ravel(),
+            (root * scaled).ravel(),
             (np.maximum(low, -longest), np.minimum(high, longest)),
             np.full(d, self.settings.steps.prior_width),
         )
 
     def try_steps(self, state: _RowsAt, steps: Array) -> tuple[_RowsAt, float]:
         """See `SteppedObjective`."""
-        tried = self.at(np.clip(state.value + steps * self.width, *self.bounds))
+        values = np.clip(state.value + steps * self.width, *self.bounds)
+        tried = list(map(self.at, values, self.rows.errors(values)))
         likelihoods = np.nan_to_num([one.log_likelihood for one in tried], nan=-np.inf)
         best = int(np.argmax(likelihoods))
         gain = float(likelihoods[best]) - state.log_likelihood

@@ -85,10 +85,7 @@ def payload_similarities(fitter: Fitter, solution: Solution, without: Solution) 
 
 
 def most_plausible(
-    fitter: Fitter,
-    solution: Solution,
-    similarity: float,
-    plausibility: Plausibility,
+    fitter: Fitter, solution: Solution, similarity: float, plausibility: Plausibility
 ) -> Solution:
     """Exchange numbers for those of the same forces that machines rather have.
 

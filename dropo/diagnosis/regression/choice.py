@@ -729,7 +729,7 @@ class Chooser:
         by_joint = np.sum((drives * solution.weights) ** 2, axis=0)
         touched = np.zeros(len(by_joint), dtype=bool)
         for i in group:
-            touched |= i == GAIN or np.any(self.fitter.columns[:, :, i] != 0, axis=0)
+            touched |= i == GAIN or self.fitter.places[i]
         there = by_joint[touched & (by_joint > 0)]
         return float(there.min()) if len(there) else 0.0
 

@@ -13,8 +13,10 @@ it is nearly 0.
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from dropo.core.numerics.bounded_quadratic import bounded_minimum
@@ -160,6 +162,11 @@ class Fitter:
         self.columns = np.stack(columns, axis=2) if columns else np.zeros(shape)
         self._drives = CubicSpline(self.equation.delays, self.equation.drives, axis=0)
 
+    @cached_property
+    def places(self) -> NDArray[np.bool_]:
+        """(K, nv) where each term has a force."""
+        return np.any(self.columns != 0, axis=0).T
+
     def drives(self, delay: float) -> Array:
         """Interpolate the drives' forces at a delay of the commands.
 
@@ -198,8 +205,7 @@ class Fitter:
         if gains:
             drives = np.asarray(self._drives(delay, order))
         for k in gains:
-            there = np.any(self.columns[:, :, chosen[k]] != 0, axis=0)
-            found[:, :, k] = np.where(there, -drives, 0.0)
+            found[:, :, k] = np.where(self.places[chosen[k]], -drives, 0.0)
         return found
 
     def forces(self, delay: float) -> Array:
@@ -513,7 +519,7 @@ class Fitter:
         gains = np.zeros(len(solution.spread))
         for i in solution.terms:
             if self.terms[i].family == OWN_GAIN:
-                gains[np.any(self.terms[i].column != 0, axis=0)] = solution.sizes[i]
+                gains[self.places[i]] = solution.sizes[i]
         return np.asarray(solution.spread / np.maximum(1 + gains, LEAST_BETA))
 
     def residuals(self, solution: Solution) -> Array:
