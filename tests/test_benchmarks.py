@@ -346,6 +346,6 @@ def test_what_a_log_says_grows_with_what_is_missing(monkeypatch):
     nats = []
     for factor in (1e-6, 0.5, 1.0):
         machine = hidden.built(design, [replace(load, size=factor * load.size)])
-        nats.append(worth.worth(design, machine, short)["payload", "link1"])
+        nats += worth.worth(design, machine, short, [("payload", "link1")]).values()
     assert nats[0] < 1e-6 * nats[2]
     assert nats[1] == pytest.approx(nats[2] / 4, rel=0.2)

@@ -13,7 +13,8 @@ than 100 nats, by simulations with and without it. Rules and thresholds are chos
 
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -32,7 +33,10 @@ from dropo.diagnosis.result import Diagnosis
 from dropo.problems.file.estimated_velocities import with_velocities
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
-Numbers = dict[tuple[str, str | None], float]
+Place = tuple[str, str | None]
+Numbers = dict[Place, float]
+Told = Callable[[Sequence[Place]], Numbers]
+"""What a log says of each of some things that are missing [nats]."""
 
 WITHIN = 3.0
 """Standard errors within which a number is right."""
@@ -135,7 +139,7 @@ def diagnosed(seed: int, whole: bool) -> dict[str, Any]:
     }
 
 
-def drawn(seed: int) -> tuple[Problem, str, Numbers, Numbers]:
+def drawn(seed: int) -> tuple[Problem, str, Numbers, Told]:
     """Draw machines until one can be moved.
 
     Parameters
@@ -151,8 +155,8 @@ def drawn(seed: int) -> tuple[Problem, str, Numbers, Numbers]:
         Their kind.
     truth : dict
         By effect and place the size of what is missing.
-    told : dict
-        What the log says of it [nats].
+    told : function
+        What the log says of what is asked for [nats].
     """
     rng = np.random.default_rng(seed)
     while True:
@@ -166,10 +170,10 @@ def drawn(seed: int) -> tuple[Problem, str, Numbers, Numbers]:
             design.spec, [], observation=["qpos"], frame_skip=round(log.control / STEP), threads=1
         )
         problem = Problem(f"machine-{seed}", simulator, log.trajectories)
-        return problem, design.drives, machine.truth, worth(design, machine, log)
+        return problem, design.drives, machine.truth, partial(worth, design, machine, log)
 
 
-def compare(causes: Sequence[Cause], truth: Numbers, told: Numbers) -> dict[str, Any]:
+def compare(causes: Sequence[Cause], truth: Numbers, told: Told) -> dict[str, Any]:
     """Compare what is named with what is missing.
 
     Parameters
@@ -178,8 +182,8 @@ def compare(causes: Sequence[Cause], truth: Numbers, told: Numbers) -> dict[str,
         What is named.
     truth : dict
         By effect and place the size of what is missing.
-    told : dict
-        What the log says of it [nats].
+    told : function
+        What the log says of what is missed [nats].
 
     Returns
     -------
@@ -208,7 +212,8 @@ def compare(causes: Sequence[Cause], truth: Numbers, told: Numbers) -> dict[str,
             z.append((estimate.value - size) / estimate.se)
     near = all(abs(value) < WITHIN for value in z)
     stands_for_one = all(alike[key].intersection(missed) for key in false)
-    due = [key for key in missed if told[key] >= TOLD]
+    nats = told(missed)
+    due = [key for key in missed if nats[key] >= TOLD]
     return {
         "right": not false and not missed and near,
         "in the set": stands_for_one and len(listed) == len(missed) and near,
@@ -216,7 +221,7 @@ def compare(causes: Sequence[Cause], truth: Numbers, told: Numbers) -> dict[str,
         "in the set, told": stands_for_one and set(due) <= set(listed) and near,
         "false": [list(key) for key in false],
         "missed": [list(key) for key in missed],
-        "worth of missed": [told[key] for key in missed],
+        "worth of missed": list(nats.values()),
         "listed": [list(key) for key in listed],
         "z": z,
     }

@@ -1,5 +1,7 @@
 """What a log says of each thing that its machine has and its model lacks, by plain MuJoCo."""
 
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
 from design import RandomDesign
@@ -12,7 +14,9 @@ SECONDS = 0.2
 """Length of the windows [s]."""
 
 
-def worth(design: RandomDesign, machine: Machine, log: Log) -> dict[tuple[str, str | None], float]:
+def worth(
+    design: RandomDesign, machine: Machine, log: Log, things: Sequence[tuple[str, str | None]]
+) -> dict[tuple[str, str | None], float]:
     """Compare the machine with the same but for one thing, in windows from its true states.
 
     What differs is compared with the noise of the positions, without what another place and speed
@@ -27,6 +31,8 @@ def worth(design: RandomDesign, machine: Machine, log: Log) -> dict[tuple[str, s
         What moved.
     log : Log
         How it moved.
+    things : sequence
+        Effects and places of what is asked for.
 
     Returns
     -------
@@ -34,9 +40,9 @@ def worth(design: RandomDesign, machine: Machine, log: Log) -> dict[tuple[str, s
         By effect and place [nats].
     """
     found = {}
-    for one in machine.hidden:
-        others = [other for other in machine.hidden if other is not one]
-        found[one.effect, one.place] = _difference(machine, built(design, others), log)
+    for thing in things:
+        others = [one for one in machine.hidden if (one.effect, one.place) != thing]
+        found[thing] = _difference(machine, built(design, others), log)
     return found
 
 

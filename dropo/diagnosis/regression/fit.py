@@ -311,15 +311,21 @@ class Fitter:
         target : (R, nv) array
             The drives' forces; where there are none, those that nothing of the model explains.
         """
-        driven = self.equation.driven
         scale = self.factors(solution) / solution.beta
-        needed = np.where(driven, self.equation.needed, 0.0)
+        needed = np.where(self.equation.driven, self.equation.needed, 0.0)
         payload = np.zeros_like(needed)
         if solution.payload is not None:
             payload = self.payload_column(solution.payload) * scale
-        target = self.drives(solution.delay) - np.where(driven, 0.0, self.equation.needed)
         columns = self.columns_at(solution.delay, terms)
-        return needed, columns * scale[:, None], payload, target
+        return needed, columns * scale[:, None], payload, self._target(solution.delay)
+
+    def _target(self, delay: float, *, gain: bool = True) -> Array:
+        """(R, nv) the drives' forces, less what the model needs where no free gain multiplies it.
+
+        gain: whether the gain of the drives is free.
+        """
+        needed = self.equation.needed
+        return self.drives(delay) - (np.where(self.equation.driven, 0.0, needed) if gain else needed)
 
     def solve(self, solution: Solution) -> Solution:
         """Fit the sizes, the gain and the payload's mass by least squares, robustly weighted.
@@ -364,7 +370,7 @@ class Fitter:
             columns.append(payload)
             lowest.append(0.0)
         if GAIN not in solution.chosen:
-            target = target - needed
+            target = self._target(solution.delay, gain=False)
         stacked = np.stack(columns, axis=2) if columns else np.zeros((*needed.shape, 0))
         return stacked, target, np.array(lowest)
 
@@ -393,19 +399,29 @@ class Fitter:
             The same with that delay [s].
         """
         delays = self.equation.delays
-        errors = np.empty(len(delays))
-        for k, delay in enumerate(delays.tolist()):
-            columns, target, lowest = self._system(replace(solution, delay=delay))
-            gram, moments = _normal_equations(columns, target, solution.weights)
-            found = bounded_minimum(gram, moments, lowest)
-            own = float(np.sum((target * solution.weights) ** 2))
-            errors[k] = own - 2 * moments @ found + found @ gram @ found
+        errors = self._errors_at(solution)
         best = int(np.argmin(errors))
         if best in (0, len(delays) - 1):
             return replace(solution, delay=float(delays[best]))
         before, here, after = errors[best - 1 : best + 2]
         shift = 0.5 * (before - after) / (before - 2 * here + after)
         return replace(solution, delay=float(delays[best] + shift * (delays[1] - delays[0])))
+
+    def _errors_at(self, solution: Solution) -> Array:
+        """(D,) the weighted squared error at each of the equation's delays."""
+        is_late = any(self.terms[i].family == OWN_GAIN for i in solution.terms)
+        found = []
+        for k, delay in enumerate(self.equation.delays.tolist()):
+            if k == 0 or is_late:
+                columns, _, lowest = self._system(replace(solution, delay=delay))
+                flat = _weighted(columns, solution.weights)
+                gram = flat.T @ flat
+            target = self._target(delay, gain=GAIN in solution.chosen)
+            aim = (target * solution.weights).ravel()
+            moments = flat.T @ aim
+            sizes = bounded_minimum(gram, moments, lowest)
+            found.append(aim @ aim - 2 * moments @ sizes + sizes @ gram @ sizes)
+        return np.array(found)
 
     # ---- the payload's place
 
@@ -648,8 +664,13 @@ class Fitter:
 
 def _normal_equations(columns: Array, target: Array, weights: Array) -> tuple[Array, Array]:
     """(k, k) weighted Gram matrix of the columns (R, nv, k), and products with the target (k,)."""
-    flat = (columns * weights[:, :, None]).reshape(target.size, columns.shape[2])
+    flat = _weighted(columns, weights)
     return flat.T @ flat, flat.T @ (target * weights).ravel()
+
+
+def _weighted(columns: Array, weights: Array) -> Array:
+    """(R nv, k) columns (R, nv, k) times the weights (R, nv) of their rows."""
+    return (columns * weights[:, :, None]).reshape(weights.size, columns.shape[2])
 
 
 def weighted_squares(residuals: Array, weights: Array) -> float:
