@@ -53,6 +53,10 @@ def bounded_minimum(
     low = lowest[moving] * scale
     high = highest[moving] * scale
     rounding = 1e-12 * float(np.abs(aim).max(initial=0.0))
+    value = np.linalg.solve(matrix, aim)
+    if np.all((value >= low - rounding) & (value <= high + rounding)):
+        found[moving] = np.clip(value / scale, lowest[moving], highest[moving])
+        return found
 
     side = np.zeros(len(moving))  # -1 at the lower bound, 1 at the upper, 0 between
     fewest = len(moving) + 1

@@ -21,10 +21,16 @@ def deviation(errors: Array) -> Array:
     (p,) array
         NaN of columns of NaN alone.
     """
-    found = np.full(errors.shape[1:], np.nan)
-    there = ~np.isnan(errors).all(axis=0)
-    found[there] = NORMAL * np.nanmedian(np.abs(errors[:, there]), axis=0)
-    return found
+    count = np.count_nonzero(~np.isnan(errors), axis=0)
+    if np.all(count == len(errors)):
+        return np.asarray(NORMAL * np.median(np.abs(errors), axis=0))
+    # NaN come last.
+    sizes = np.sort(np.abs(errors), axis=0)
+    lower, upper = (
+        np.take_along_axis(sizes, middle[np.newaxis], axis=0)[0]
+        for middle in ((count - 1) // 2, count // 2)
+    )
+    return np.asarray(NORMAL * (lower + upper) / 2)
 
 
 def student_t_weights(squares: Array, size: int, degrees: float) -> Array:

@@ -707,7 +707,7 @@ class Chooser:
             if len(free):
                 square = other_gram[free[:, None], free]
                 found[free] = bounded_minimum(square, other_moments[free], np.array(lowest))
-            squares = np.einsum("i,bij,j->b", found, grams[own], found)
+            squares = grams[own] @ found @ found
             errors[own] = tables.sizes[own] - 2 * by_block[own] @ found + squares
         return errors
 

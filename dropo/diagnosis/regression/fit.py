@@ -317,15 +317,15 @@ class Fitter:
         if solution.payload is not None:
             payload = self.payload_column(solution.payload) * scale
         columns = self.columns_at(solution.delay, terms)
-        return needed, columns * scale[:, None], payload, self._target(solution.delay)
+        return needed, columns * scale[:, None], payload, self._target(self.drives(solution.delay))
 
-    def _target(self, delay: float, *, gain: bool = True) -> Array:
+    def _target(self, drives: Array, *, gain: bool = True) -> Array:
         """(R, nv) the drives' forces, less what the model needs where no free gain multiplies it.
 
         gain: whether the gain of the drives is free.
         """
         needed = self.equation.needed
-        return self.drives(delay) - (np.where(self.equation.driven, 0.0, needed) if gain else needed)
+        return drives - (np.where(self.equation.driven, 0.0, needed) if gain else needed)
 
     def solve(self, solution: Solution) -> Solution:
         """Fit the sizes, the gain and the payload's mass by least squares, robustly weighted.
@@ -370,7 +370,7 @@ class Fitter:
             columns.append(payload)
             lowest.append(0.0)
         if GAIN not in solution.chosen:
-            target = self._target(solution.delay, gain=False)
+            target = self._target(self.drives(solution.delay), gain=False)
         stacked = np.stack(columns, axis=2) if columns else np.zeros((*needed.shape, 0))
         return stacked, target, np.array(lowest)
 
@@ -416,7 +416,7 @@ class Fitter:
                 columns, _, lowest = self._system(replace(solution, delay=delay))
                 flat = _weighted(columns, solution.weights)
                 gram = flat.T @ flat
-            target = self._target(delay, gain=GAIN in solution.chosen)
+            target = self._target(self.equation.drives[k], gain=GAIN in solution.chosen)
             aim = (target * solution.weights).ravel()
             moments = flat.T @ aim
             sizes = bounded_minimum(gram, moments, lowest)

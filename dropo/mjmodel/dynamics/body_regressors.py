@@ -174,22 +174,16 @@ class _Motions:
         self.rotation = np.empty((count, n, 3, 3))
         self.acceleration = np.empty((count, n, 6))
         self.velocity = np.empty((count, n, 6))
-        self._six = np.empty(6)
-        self._linear = np.empty((3, nv))
-        self._angular = np.empty((3, nv))
 
     def record(self, i: int, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         """Note row i."""
         kind = mujoco.mjtObj.mjOBJ_XBODY
         for k, body in enumerate(self.bodies):
-            mujoco.mj_jacBody(model, data, self._linear, self._angular, body)
-            self.linear_jacobian[k, i] = self._linear
-            self.angular_jacobian[k, i] = self._angular
+            linear, angular = self.linear_jacobian[k, i], self.angular_jacobian[k, i]
+            mujoco.mj_jacBody(model, data, linear, angular, body)
             self.rotation[k, i] = data.xmat[body].reshape(3, 3)
-            mujoco.mj_objectAcceleration(model, data, kind, body, self._six, 1)
-            self.acceleration[k, i] = self._six
-            mujoco.mj_objectVelocity(model, data, kind, body, self._six, 1)
-            self.velocity[k, i] = self._six
+            mujoco.mj_objectAcceleration(model, data, kind, body, self.acceleration[k, i], 1)
+            mujoco.mj_objectVelocity(model, data, kind, body, self.velocity[k, i], 1)
 
     def regressors(self, chosen: Sequence[int]) -> Array:
         """(B, n, nv, 10) the derivatives of the forces by the inertia of the chosen bodies."""
