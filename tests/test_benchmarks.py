@@ -153,7 +153,7 @@ def test_every_row_at_its_full_size():
         assert row.fitting < 1 / 3
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_shares_of_the_main_job_add_up(monkeypatch):
     """Imports, simulation and the rest are the whole, and none of them is all of it."""
     found = shares.fit(["hopper", "--transitions", "80"])
@@ -179,6 +179,7 @@ def test_meshes_prints_a_row_for_each_arm(capsys):
         assert float(cells[-1]) > 10  # MB
 
 
+@pytest.mark.study
 def test_a_walk_ends_with_a_page(tmp_path, capsys):
     """A log of 6 s goes through every command; what fails says what the command said."""
     walk.walk("arm", tmp_path, rows=600)
@@ -318,6 +319,7 @@ def test_runs_of_a_diagnosis_are_kept(tmp_path, monkeypatch, capsys):
     assert readme.numbers_in(text)["hopper, one"]["stages"] == {"screening": 1.0}
 
 
+@pytest.mark.study
 def test_a_machine_of_random_shape_is_diagnosed():
     """Friction beside velocity servos whose forces are noisy: no gain that shrinks all of them.
 

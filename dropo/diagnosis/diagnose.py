@@ -7,11 +7,11 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from dropo.core.contracts.effect import EffectInstance
 from dropo.core.contracts.estimator import Progress, silent, with_cost
 from dropo.core.contracts.problem import Problem
+from dropo.core.services.blas_threads import one_blas_thread
 from dropo.core.services.errors import BadArgument
 from dropo.core.services.files.evaluation_log import EvaluationLog
 from dropo.core.services.validation import require
@@ -170,7 +170,7 @@ class Diagnose:
         begun = time.perf_counter()
         seed = int(rng) if isinstance(rng, int | np.integer) else None
         # The simulator's threads use the cores; products of small matrices gain nothing from more.
-        with threadpool_limits(1, user_api="blas"):
+        with one_blas_thread():
             log = evaluation_log or EvaluationLog()
             wiring = self._wiring(problem, progress)
             if wiring.faults and all(fault.evidence for fault in wiring.faults):

@@ -8,11 +8,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.records.fits.fit import Fit, Status
+from dropo.core.services.blas_threads import one_blas_thread
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.files.evaluation_log import EvaluationLog
 from dropo.core.services.validation import Array, check_shape, require
@@ -217,7 +217,7 @@ class Estimator(ABC):
             with_cost(progress, problem.simulator),
         )
         # The simulator's threads use the cores; small matrix products gain nothing from more.
-        with threadpool_limits(1, user_api="blas"):
+        with one_blas_thread():
             fit = self.fit_part(problem, run)
         self._check_numbers(fit)
         seed = int(rng) if isinstance(rng, int | np.integer) else None

@@ -10,12 +10,12 @@ from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, field, replace
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from dropo.core.contracts.effect import ActiveEffects, EffectInstance, instances_of
 from dropo.core.contracts.problem import Problem
 from dropo.core.numerics.tails import student_tail
 from dropo.core.records.trajectories import Trajectories
+from dropo.core.services.blas_threads import one_blas_thread
 from dropo.core.services.errors import BadArgument
 from dropo.core.services.validation import Array, require
 from dropo.diagnosis.findings.premises.chattering import chattering_sentences
@@ -155,7 +155,7 @@ class QuickDiagnose:
         expected = "a Problem, which dropo.load makes of a name or a file"
         require(isinstance(problem, Problem), "problem", expected, problem, "QuickDiagnose")
         begun = time.perf_counter()
-        with threadpool_limits(1, user_api="blas"):
+        with one_blas_thread():
             found = self._run(problem)
         return replace(found, wall_time_s=time.perf_counter() - begun)
 

@@ -11,10 +11,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from threadpoolctl import threadpool_limits
-
 from dropo._version import __version__
 from dropo.core.contracts.estimator import Progress, silent
+from dropo.core.services.blas_threads import one_blas_thread
 from dropo.core.services.daemon_threads import DaemonThreads
 from dropo.core.services.files.journal import Journal
 from dropo.core.services.plugin_files import plugin_sums
@@ -163,7 +162,7 @@ class Work:
     ) -> None:
         """Runs the tasks that are missing of `total`, and keeps every answer as it comes."""
         title = task.__name__.strip("_").replace("_", " ")
-        with threadpool_limits(1, user_api="blas"):
+        with one_blas_thread():
             keys = {executor.submit(_on_one_thread, task, item): key for key, item in missing}
             try:
                 for done, future in enumerate(as_completed(keys), total - len(missing) + 1):
@@ -189,7 +188,7 @@ class Work:
 
 def _on_one_thread(task: Task, item: Any) -> dict[str, Any]:
     """Runs the task with BLAS on one thread, since more would change the last digits."""
-    with threadpool_limits(1, user_api="blas"):
+    with one_blas_thread():
         return task(item)
 
 

@@ -15,8 +15,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from threadpoolctl import threadpool_info
-
+from dropo.core.services.blas_threads import blas_kernels
 from dropo.core.services.errors import BadFile
 from dropo.core.services.files.atomic_write import naming
 from dropo.core.services.files.saved_files import require_version
@@ -99,10 +98,8 @@ def versions() -> dict[str, str]:
     -------
     dict of str to str
     """
-    pools = threadpool_info()
-    kernels = {pool.get("architecture") or "" for pool in pools if pool["user_api"] == "blas"}
     found = {name: version(name) for name in ("numpy", "scipy", "mujoco")}
-    return {**found, "BLAS kernel": ", ".join(sorted(filter(None, kernels)))}
+    return {**found, "BLAS kernel": ", ".join(blas_kernels())}
 
 
 def _warn_of_others(path: Path, before: Any) -> None:
