@@ -8,7 +8,7 @@ import sys
 import textwrap
 from collections.abc import Callable, Collection
 from dataclasses import fields, is_dataclass
-from functools import partial
+from functools import cache, partial
 from types import FunctionType, ModuleType
 from typing import Any
 
@@ -132,7 +132,7 @@ class SourceText:
 
     def _copy(self, value: Any, name: str) -> str:
         """The source of a function or class, in which names are those of the text."""
-        (tree,) = ast.parse(textwrap.dedent(inspect.getsource(value))).body
+        (tree,) = ast.parse(_source(value)).body
         plain = _WithoutAnnotations().visit(tree)
         plain.name = name
         scope = vars(sys.modules[value.__module__])
@@ -181,6 +181,12 @@ class _Renamed(ast.NodeTransformer):
     def visit_Name(self, node: ast.Name) -> ast.AST:
         node.id = self.names.get(node.id, node.id)
         return node
+
+
+@cache
+def _source(value: FunctionType | type) -> str:
+    """The source of a function or class; of a class, all of its module is read for it."""
+    return textwrap.dedent(inspect.getsource(value))
 
 
 def _unique_name(module: str, name: str, taken: set[str]) -> str:

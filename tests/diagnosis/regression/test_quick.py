@@ -370,13 +370,12 @@ def changed(problem, angles=None, commands=None):
 @pytest.mark.parametrize(
     ("kind", "target", "angles", "commands"),
     [
-        ("sign", "joint1", lambda rows: rows * [1, -1, 1], None),
         ("unit_factor", "joint0", None, lambda rows: rows * [180 / np.pi, 1, 1]),
         ("exchange", "joint0, joint2", None, lambda rows: rows[:, [2, 1, 0]]),
     ],
 )
 def test_wiring_faults_are_named(plain, kind, target, angles, commands):
-    """A wrong sign, degrees, two joints exchanged: said, and nothing else is looked for."""
+    """Degrees, two joints exchanged: said, and nothing else is looked for."""
     diagnosis = QuickDiagnose().run(changed(plain, angles, commands))
     assert [(fault.kind, fault.target) for fault in diagnosis.faults] == [(kind, target)]
     assert diagnosis.causes == ()

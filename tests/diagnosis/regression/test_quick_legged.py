@@ -15,12 +15,11 @@ from dropo.mjmodel.joints import all_joints
 from dropo.problems.loading import load
 from dropo.problems.simulated.example_quadruped import WALK, Change, write_quadruped
 
-FEW = replace(WALK, seconds=4.0)
 
-
-def walking(folder: Path, change: Change | None = None) -> Problem:
+def walking(folder: Path, change: Change, seconds: float) -> Problem:
     """The problem that `dropo init` makes of two logs, the second held out."""
-    paths = write_quadruped(folder, 2, seed=0, walk=FEW, change=change)
+    walk = replace(WALK, seconds=seconds)
+    paths = write_quadruped(folder, 2, seed=0, walk=walk, change=change)
     init(paths[0], paths[1:], folder / "out")
     return load(folder / "out" / "problem.yaml", threads=1)
 
@@ -36,7 +35,7 @@ def test_a_payload_and_a_joints_friction(tmp_path: Path) -> None:
     joints and 12 drives. A payload at the trunk's own centre is a heavier trunk, which says so.
     Where so much friction makes a joint stick, its rotor may be named too.
     """
-    found = QuickDiagnose().run(walking(tmp_path, heavier))
+    found = QuickDiagnose().run(walking(tmp_path, heavier, seconds=4.0))
     sizes = {(cause.effect, cause.target): cause.estimate for cause in found.causes}
     names = [(cause.effect, cause.target) for cause in found.causes]
     assert set(names[:2]) == {("body_mass", "trunk"), ("joint_friction", "FL_hip")}
@@ -56,7 +55,7 @@ def slippery(model: mujoco.MjModel) -> None:
 
 def test_the_grounds_friction(tmp_path: Path) -> None:
     """It alone is named, within 3 standard errors of a few percent; what is to be typed has it."""
-    found = QuickDiagnose().run(walking(tmp_path, slippery))
+    found = QuickDiagnose().run(walking(tmp_path, slippery, seconds=3.0))
     assert [(cause.effect, cause.target) for cause in found.causes] == [("contact_friction", None)]
     factor = found.causes[0].estimate["sliding"]
     assert abs(factor.value - (0.4 / 0.7 - 1)) < 3 * factor.se < 3 * 0.05
