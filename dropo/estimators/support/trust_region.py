@@ -59,7 +59,7 @@ class TrustRegionSettings:
         Width of the first region, and the largest of any, as a fraction of the search interval.
     minimum_width : float
         Smallest width of a region, as a fraction of the search interval; larger where a simulator
-        of single precision asks for it (`Simulator.least_step`).
+        of single precision asks for it (`Simulator.minimum_step`).
     coarse_segments : int
         The first iterations see so many segments at least.
     coarse_segments_per_parameter : int
@@ -204,6 +204,14 @@ class OuterIterations:
     make_optimizer : function, optional
         Makes the optimizer of each iteration; without it, Fisher scoring.
     settings : TrustRegionSettings
+    prior : MeanPrior
+        What is known of the means before.
+    box : (d,) array
+        Widths of the search intervals, in the parameters' units.
+    smallest_width : (d,) array
+        Lower bound of a region's widths, in the parameters' units.
+    design_seed : int
+        Seed of the points that every local likelihood is built from.
     """
 
     problem: Problem
@@ -214,12 +222,16 @@ class OuterIterations:
     rng: np.random.Generator
     make_optimizer: MakeOptimizer | None = None
     settings: TrustRegionSettings = field(default_factory=TrustRegionSettings)
+    prior: MeanPrior = field(init=False)
+    box: Array = field(init=False)
+    smallest_width: Array = field(init=False)
+    design_seed: int = field(init=False)
 
     def __post_init__(self) -> None:
         self.prior = MeanPrior(self.problem.priors, self.problem.space)
         self.box = self.problem.space.high - self.problem.space.low
-        least = max(self.settings.minimum_width, self.problem.simulator.minimum_step)
-        self.minimum_width = least * self.box
+        fraction = max(self.settings.minimum_width, self.problem.simulator.minimum_step)
+        self.smallest_width = fraction * self.box
         # One seed for all designs: with a new one each time, iterations would never settle.
         self.design_seed = int(self.rng.spawn(1)[0].integers(2**63))
         self._last_built: tuple[TrustRegion, LocalLogLikelihood] | None = None
@@ -400,12 +412,12 @@ class OuterIterations:
         spread = np.maximum(scale, self.family.sd(phi))
         followed = settings.followed_move * np.abs(mean - result.region.centre)
         errors = settings.errors_wide * result.errors
-        wanted = np.maximum.reduce([spread, followed, errors, self.minimum_width])
+        wanted = np.maximum.reduce([spread, followed, errors, self.smallest_width])
         # ... as far as a width may change in one iteration.
         before = result.region.width
         smallest = before / settings.maximum_shrink
         largest = np.minimum(settings.maximum_growth * before, settings.first_width * self.box)
-        width = np.maximum(np.clip(wanted, smallest, largest), self.minimum_width)
+        width = np.maximum(np.clip(wanted, smallest, largest), self.smallest_width)
         return replace(result.region, centre=mean, width=width)
 
     def _is_settled(self, result: IterationResult, following: TrustRegion) -> bool:
@@ -417,7 +429,7 @@ class OuterIterations:
             [
                 settings.settled_sd * sd,
                 settings.settled_error * result.errors,
-                settings.settled_minimum * self.minimum_width,
+                settings.settled_minimum * self.smallest_width,
             ]
         )
         move = np.abs(following.centre - result.region.centre)

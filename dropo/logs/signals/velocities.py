@@ -51,7 +51,7 @@ class VelocitySettings:
     jump_sharpness : float
         Multiple of the velocity's score that the acceleration's score must be below at a jump.
     jump_rounds : int
-        Number of times that jumps are searched for.
+        Number of fits at most; between one and the next, jumps are searched for.
     probes : int
         Number of columns of random signs that show how much noise passes the smoother (Hutchinson
         1990).
@@ -232,13 +232,15 @@ def _fit_column(
     if np.ptp(measured) == 0:
         return _Column(motion, 0.0, float(np.exp(settings.lowest)))
     minimum_noise = quantum(measured) / np.sqrt(12)
-    for _ in range(settings.jump_rounds):
-        column = _fit_noise(motion, noise, minimum_noise, settings)
+    # Where jumps are found, fit anew with them, until none is found or the last fit is made.
+    column = _fit_noise(motion, noise, minimum_noise, settings)
+    for _ in range(settings.jump_rounds - 1):
         new = _find_jumps(column, settings)
         if not len(new):
             break
-        jumps = np.union1d(motion.jumps, new).astype(np.int64)
-        motion = replace(motion, jumps=jumps)
+        jumps = np.union1d(column.motion.jumps, new).astype(np.int64)
+        with_jumps = replace(column.motion, jumps=jumps)
+        column = _fit_noise(with_jumps, noise, minimum_noise, settings)
     return column
 
 
