@@ -216,9 +216,9 @@ def has_less_noise(
 ) -> bool:
     """Decide whether some signal's noise has fallen much.
 
-    Then the linearization in the start's noise, which a trial keeps, is not right any more. This is
-    so where an error of a sensor was taken for noise: the trial of its cause goes only part of the
-    way.
+    Then the linearization in the noise of the windows' start states, which a trial keeps, is not
+    right any more. This is so where an error of a sensor was taken for noise: the trial of its
+    cause goes only part of the way.
 
     Parameters
     ----------

@@ -93,7 +93,7 @@ def reviews_so_far(selection: Selection, state: State) -> dict[str, Review]:
     reviews = {}
     for instance in state.accepted:
         without = without_effects(selection, state, [instance])
-        # A quick fit, with the linearization in the start's noise as it is.
+        # A quick fit, with the linearization in the noise of the windows' start states as it is.
         train = settle(library, without.train, without.free, selection.floor)
         test = shift_linearization(library, state.test, train.theta, train.whiten.noise)
         without = replace(without, train=train, test=test)
@@ -291,8 +291,8 @@ def _merged(
     train = shift_linearization(library, state.train, theta, state.train.whiten.noise)
     free = np.append(np.setdiff1d(state.free, indices), of_fewer)
     kept = tuple(instance for instance in state.accepted if instance not in replaced)
-    start = replace(state, train=train, free=free, accepted=(*kept, *fewer))
-    return selection.polish(start)
+    initial = replace(state, train=train, free=free, accepted=(*kept, *fewer))
+    return selection.polish(initial)
 
 
 def ambiguity(

@@ -6,6 +6,21 @@ Each step of the search screens all effects (`screening`), refits the most promi
 (m,) holds the declared parameters, then the magnitudes of all effects, 0 where an effect is absent;
 `free` (f,) has the indices of those that are fitted. The two sides of a model are the windows to
 fit and the windows held out, linearized under its theta and noise.
+
+What is done with windows, from cheap to dear (p signals, f free numbers):
+
+- `with_other_noise` fits nothing and simulates nothing, unless the windows are as `linearize` left
+  them: then it is `shift_linearization`.
+- `shift_linearization` fits nothing. It simulates each window once, under another theta, and keeps
+  how the noise of the start states carries into the predictions.
+- `linearize` fits nothing. It simulates each window 2 p + 1 times and finds that anew.
+- `with_noise` fits the noise at a fixed theta; it linearizes where the noise is quite another.
+- `settle` fits theta and the noise in turn, by 2 f simulations of each window for a Jacobian and a
+  few for each step, without linearizing.
+- `refit` settles, linearizes where theta has gone, and does so again, a few times at most, until
+  that changes nothing.
+- `Selection.polish` refits the windows to fit, then simulates those held out, linearized anew
+  where that changed the fit; its result is recorded.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -370,8 +385,10 @@ class Selection:
         settings = self.settings.refit
 
         def fit() -> Sides:
-            start = shift_linearization(library, state.train, theta, state.train.whiten.noise)
-            train = settle(library, start, free, self.floor, nonsmooth=nonsmooth, settings=settings)
+            initial = shift_linearization(library, state.train, theta, state.train.whiten.noise)
+            train = settle(
+                library, initial, free, self.floor, nonsmooth=nonsmooth, settings=settings
+            )
             noise = train.whiten.noise
             return train, shift_linearization(library, state.test, train.theta, noise)
 
@@ -512,24 +529,25 @@ class Selection:
         """
         library = self.library
         nonsmooth = nonsmooth_magnitudes(library, (instance,))
-        start = shift_linearization(library, state.train, theta, state.train.whiten.noise)
+        initial = shift_linearization(library, state.train, theta, state.train.whiten.noise)
         if instance.sensor_delay is not None:
             # Without the delay, noise stands for it: the noise with it may be a very different one.
-            noise = estimate_noise(start, start.whiten.noise, self.floor)
-            start = with_other_noise(library, start, noise)
-            if has_less_noise(state.train, start, self.settings):
-                start = linearize(library, start.windows, theta, noise)
-                fitted = self._refit(start, free, nonsmooth=nonsmooth, renewals=1)
+            noise = estimate_noise(initial, initial.whiten.noise, self.floor)
+            initial = with_other_noise(library, initial, noise)
+            if has_less_noise(state.train, initial, self.settings):
+                initial = linearize(library, initial.windows, theta, noise)
+                fitted = self._refit(initial, free, nonsmooth=nonsmooth, renewals=1)
                 return fitted, self._linearize_held_out(fitted, state.test.windows)
-        # Any other effect is tried with the linearization in the start's noise as it is.
+        # Any other effect is tried with the linearization in the noise of the windows' start states
+        # as it is.
         fitted = settle(
             library,
-            start,
+            initial,
             free,
             self.floor,
             nonsmooth=nonsmooth,
             known=jacobian,
-            slopes=self.screening.slopes(start.windows, instance),
+            slopes=self.screening.slopes(initial.windows, instance),
             settings=self.settings.refit,
         )
         noise = fitted.whiten.noise
@@ -544,7 +562,7 @@ class Selection:
 
     def _refit(
         self,
-        start: LinearizedWindows,
+        initial: LinearizedWindows,
         free: np.ndarray,
         *,
         rounds: int = 4,
@@ -554,7 +572,7 @@ class Selection:
         """Windows fitted as the settings say."""
         return refit(
             self.library,
-            start,
+            initial,
             free,
             self.floor,
             rounds=rounds,
