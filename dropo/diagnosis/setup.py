@@ -90,7 +90,8 @@ def extended_problem(problem: Problem, library: Library, last: State) -> Problem
     -------
     Problem
     """
-    found = [(instance, last.theta[library.places[instance.label]]) for instance in last.accepted]
+    indices_of = library.indices_of
+    found = [(instance, last.theta[indices_of[instance.label]]) for instance in last.accepted]
     return replace(problem, simulator=robot_of(problem).with_effects((), found))
 
 
@@ -254,7 +255,7 @@ class SearchSetup:
             without = State(
                 shift_linearization(self.library, last.train, whole, noise),
                 shift_linearization(self.library, last.test, whole, noise),
-                free[~np.isin(free, self.library.places[label])],
+                free[~np.isin(free, self.library.indices_of[label])],
                 kept,
             )
             reviews[label] = Review(without, None, ())

@@ -239,7 +239,7 @@ def without_short_delays(
     refused: dict[str, str] = {}
     indices: list[int] = []
     for instance in last.accepted:
-        own = library.places[instance.label]
+        own = library.indices_of[instance.label]
         size = short_delay(instance, last.theta[own], step)
         if size is not None:
             without = searched.reviews[instance.label].without

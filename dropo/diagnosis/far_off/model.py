@@ -131,7 +131,7 @@ class FarOffModel:
         """
         numbers = []
         for instance, _ in self.numbers:
-            sizes = theta[self.library.places[instance.label]]
+            sizes = theta[self.library.indices_of[instance.label]]
             numbers.append((instance, sizes))
         return replace(self, declared=theta[: len(self.declared)], numbers=tuple(numbers))
 

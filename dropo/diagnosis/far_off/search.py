@@ -500,9 +500,9 @@ class FarOffSearch:
         """The labels of the effects that are distinguished from nothing."""
         found = set()
         for instance, sizes in model.numbers:
-            place = model.library.places[instance.label][0]
+            first = model.library.indices_of[instance.label][0]
             own = errors if instance.effect == GAIN else beside
-            if abs(sizes[0]) > self.settings.certain * own[place]:
+            if abs(sizes[0]) > self.settings.certain * own[first]:
                 found.add(instance.label)
         return frozenset(found)
 
@@ -578,22 +578,22 @@ def _gains(model: FarOffModel) -> NDArray[np.bool_]:
     found = np.zeros(len(model.theta), dtype=bool)
     for instance, _ in model.numbers:
         if instance.effect == GAIN:
-            found[model.library.places[instance.label]] = True
+            found[model.library.indices_of[instance.label]] = True
     return found
 
 
 def _theta_without(model: FarOffModel, end: Fitted, labels: Sequence[str]) -> Array:
     """The numbers (m,) without some effects, the others moved to make up for them."""
     space = model.library.simulator.space
-    place = np.concatenate([model.library.places[label] for label in labels])
-    own = np.isin(end.free, place)
+    indices = np.concatenate([model.library.indices_of[label] for label in labels])
+    own = np.isin(end.free, indices)
     others = end.free[~own]
     # Scaled to a diagonal of ones, so that the least squares' cutoff means the same for all.
     size = np.sqrt(np.maximum(np.diag(end.gram)[~own], 1e-300))
     scaled = end.gram[np.ix_(~own, ~own)] / np.outer(size, size)
     moment = end.gram[np.ix_(~own, own)] @ end.theta[end.free[own]] / size
     theta = end.theta.copy()
-    theta[place] = 0.0
+    theta[indices] = 0.0
     moved = theta[others] + np.linalg.lstsq(scaled, moment, rcond=1e-8)[0] / size
     theta[others] = np.clip(moved, space.low[others], space.high[others])
     return theta

@@ -94,13 +94,13 @@ def ties_of(
 
 
 def _labels(model: FarOffModel) -> dict[int, tuple[str, str]]:
-    """By the place of a number, what it is called and its unit."""
+    """By the index of a number, what it is called and its unit."""
     found = {}
     for instance, _ in model.numbers:
-        places = model.library.places[instance.label].tolist()
-        for place, quantity in zip(places, instance.quantities, strict=True):
-            several = f" {quantity.name}" if len(places) > 1 else ""
-            found[place] = instance.label + several, quantity.unit
+        indices = model.library.indices_of[instance.label].tolist()
+        for index, quantity in zip(indices, instance.quantities, strict=True):
+            several = f" {quantity.name}" if len(indices) > 1 else ""
+            found[index] = instance.label + several, quantity.unit
     return found
 
 

@@ -311,12 +311,13 @@ def estimate(
     step = physics_step(simulator.model) if isinstance(simulator, RobotSimulator) else 0.0
     early = step / np.sqrt(12)
     of_commands = instance.command is not None or instance.actuation is not None
-    for place, quantity in zip(library.places[instance.label], instance.quantities, strict=True):
-        value = float(last.theta[place])
-        error = float(errors[place])
+    indices = library.indices_of[instance.label]
+    for index, quantity in zip(indices, instance.quantities, strict=True):
+        value = float(last.theta[index])
+        error = float(errors[index])
         if quantity.unit == "s" and of_commands:
             error = float(np.hypot(error, early))
-        freedom = np.inf if degrees is None else float(degrees[place])
+        freedom = np.inf if degrees is None else float(degrees[index])
         found[quantity.name] = Estimate(value, error, quantity.unit, quantity.base, freedom)
     return found
 

@@ -124,7 +124,7 @@ def figure_data(
         sizes += _sizes(library, last.test, instance, response)
         sums.append(_sums(last.test, instance, response))
         if instance.formula and instance.force is not None:
-            sizes_here = last.theta[library.places[instance.label]]
+            sizes_here = last.theta[library.indices_of[instance.label]]
             laws.append(law_curve(library, instance, sizes_here, without, selection.floor))
 
     chosen = {instance.label: (instance, reviews[instance.label]) for instance in last.accepted}

@@ -270,7 +270,7 @@ def _ideas(
         added += _proposals(joint, own, rows, forces, pool, settings)
         replaced = _stand_ins(simulator, state, joint, own)
         if replaced:
-            numbers = np.concatenate([selection.library.places[one.label] for one in replaced])
+            numbers = np.concatenate([selection.library.indices_of[one.label] for one in replaced])
             bare = forces.without(selection.library, numbers)
             found = _proposals(joint, own, rows, bare, pool, settings)
             replacing += [(proposal, replaced) for proposal in found]
@@ -724,7 +724,7 @@ def _pruned(
 
 def _fitted(proposal: Proposal, law: EffectInstance, polished: State, library: Library) -> Array:
     """The constants (k,) before the terms of a proposal as fitted, with their signs."""
-    numbers = polished.theta[library.places[law.label]]
+    numbers = polished.theta[library.indices_of[law.label]]
     by_name = dict(zip([q.name for q in law.quantities], numbers.tolist(), strict=True))
     names = [LETTER]
     if len(proposal.shapes) > 1:

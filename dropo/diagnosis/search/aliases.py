@@ -106,18 +106,18 @@ def _similar(
 
     jacobian: (f, N) whitened, by all fitted numbers.
     """
-    places = library.places
+    indices_of = library.indices_of
     train = last.train
     without = last.theta.copy()
-    without[places[instance.label]] = 0.0
+    without[indices_of[instance.label]] = 0.0
     thetas = [without]
     for other in others:
         theta = without.copy()
-        theta[places[other.instance.label]] = other.magnitudes
+        theta[indices_of[other.instance.label]] = other.magnitudes
         thetas.append(theta)
     predicted = library.predict(np.array(thetas), train.windows)
     changes = np.concatenate([(train.predicted - predicted[0])[None], predicted[1:] - predicted[0]])
-    rest = jacobian[~np.isin(last.free, places[instance.label])]
+    rest = jacobian[~np.isin(last.free, indices_of[instance.label])]
     basis = np.linalg.qr(rest.T)[0] if len(rest) else None
     rows = project_out(train.flat(np.nan_to_num(changes)), basis)
     rows = rows / np.maximum(np.linalg.norm(rows, axis=1), SMALLEST_LENGTH)[:, None]

@@ -32,9 +32,9 @@ def totals_of(library: Library, theta: Array, instances: Sequence[EffectInstance
     """
     totals = np.array(theta, dtype=float)
     for instance in instances:
-        places = library.places[instance.label]
-        for place, quantity in zip(places, instance.quantities, strict=True):
-            totals[place] += 1.0 if quantity.relative else quantity.base or 0.0
+        indices = library.indices_of[instance.label]
+        for index, quantity in zip(indices, instance.quantities, strict=True):
+            totals[index] += 1.0 if quantity.relative else quantity.base or 0.0
     return totals
 
 

@@ -130,10 +130,10 @@ def response_of(
     (W, n) array
         0 where a simulation diverges.
     """
-    place = library.places[instance.label]
+    indices = library.indices_of[instance.label]
     space = library.simulator.space
     thetas = np.stack([linearized.theta, linearized.theta])
-    thetas[:, place] *= np.array([[1 + settings.step], [1 - settings.step]])
+    thetas[:, indices] *= np.array([[1 + settings.step], [1 - settings.step]])
     upper, lower = library.predict(space.clip(thetas), linearized.windows)
     return np.asarray(np.nan_to_num(upper - lower) / (2 * settings.step))
 

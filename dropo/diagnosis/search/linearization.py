@@ -56,7 +56,7 @@ class Library:
         d.
     differences : DerivativeSettings
         Widths of differences.
-    places : dict of str to (q,) int array
+    indices_of : dict of str to (q,) int array
         For each effect's label, the indices of its magnitudes among the parameters.
     """
 
@@ -64,16 +64,16 @@ class Library:
     instances: Sequence[EffectInstance]
     declared: int
     differences: DerivativeSettings = DEFAULTS
-    places: dict[str, np.ndarray] = field(init=False)
+    indices_of: dict[str, np.ndarray] = field(init=False)
     _kept: list[tuple[Windows, bytes, Array]] = field(init=False, default_factory=list)
 
     def __post_init__(self) -> None:
-        self.places = {}
+        self.indices_of = {}
         end = self.declared
         for instance in self.instances:
             start = end
             end += len(instance.quantities)
-            self.places[instance.label] = np.arange(start, end)
+            self.indices_of[instance.label] = np.arange(start, end)
 
     @property
     def steps(self) -> Array:

@@ -198,7 +198,7 @@ def without_effects(
     """
     library = selection.library
     left_out = {instance.label for instance in instances}
-    indices = np.concatenate([library.places[label] for label in sorted(left_out)])
+    indices = np.concatenate([library.indices_of[label] for label in sorted(left_out)])
     theta = state.theta.copy()
     theta[indices] = 0.0
     train = shift_linearization(library, state.train, theta, state.train.whiten.noise)
@@ -279,10 +279,10 @@ def _merged(
 ) -> State:
     """The model with a few effects in the place of several of their kind, fitted to the end."""
     library = selection.library
-    of_fewer = np.concatenate([library.places[instance.label] for instance in fewer])
-    of_replaced = [library.places[instance.label] for instance in replaced]
+    of_fewer = np.concatenate([library.indices_of[instance.label] for instance in fewer])
+    of_replaced = [library.indices_of[instance.label] for instance in replaced]
     # They begin with the mean of the first magnitudes, or with that of what acts everywhere.
-    first = [state.theta[places[0]] for places in of_replaced]
+    first = [state.theta[indices[0]] for indices in of_replaced]
     is_common = replaced[0].target is None
     theta = state.theta.copy()
     theta[of_fewer] = first[0] if is_common else np.mean(first)

@@ -388,7 +388,7 @@ class Screening:
         loadings = linearized.loadings
         # The windows with the delay, under the noise as it is.
         theta = linearized.theta.copy()
-        indices = library.places[instance.label]
+        indices = library.indices_of[instance.label]
         theta[indices] += np.array(magnitudes)
         whiten = whitener(library, windows, theta, noise, loadings)
         delayed = replace(linearized, residuals=linearized.residuals - change, whiten=whiten)
@@ -464,7 +464,7 @@ class Screening:
         space = self.library.simulator.space
         thetas = []
         for instance, probe in probed:
-            indices = self.library.places[instance.label]
+            indices = self.library.indices_of[instance.label]
             for magnitudes in probe:
                 theta = linearized.theta.copy()
                 theta[indices] += magnitudes
@@ -618,7 +618,7 @@ def _score(
     multiples = np.linalg.lstsq(responses.T, residuals, rcond=RANK_TOLERANCE)[0]
     wanted_change = multiples @ np.array(probe)
     # The magnitudes that come nearest to that within the bounds; at least one must move that way.
-    indices = library.places[instance.label]
+    indices = library.indices_of[instance.label]
     space = library.simulator.space
     before = theta[indices]
     magnitudes = np.clip(before + wanted_change, space.low[indices], space.high[indices])
@@ -656,7 +656,7 @@ def _score_place(
         """The numbers of a first magnitude of 1."""
         return linear_in(np.insert(places, 0, 1.0, axis=1))
 
-    indices = library.places[instance.label]
+    indices = library.indices_of[instance.label]
     high = library.simulator.space.high[indices]
     best = best_place(
         numbers, by_number @ by_number.T, by_number @ residuals, tried[0, 1:], high[1:]

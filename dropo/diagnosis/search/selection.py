@@ -335,8 +335,8 @@ class Selection:
         partner = partner_of(last, instances)
         if partner is None or partner in state.accepted:
             return state
-        own = self.library.places[last.label]
-        others = self.library.places[partner.label]
+        own = self.library.indices_of[last.label]
+        others = self.library.indices_of[partner.label]
         theta = state.theta.copy()
         theta[own] = theta[others] = 0.5 * state.theta[own]
         self.progress(_fraction_done(len(state.accepted), 1.0), f"fitting {partner.label} as well")
@@ -377,8 +377,8 @@ class Selection:
             Fitted enough to compare it with others, linearized as `state` is.
         """
         library = self.library
-        without = [library.places[instance.label] for instance in removed]
-        further = [library.places[instance.label] for instance in added]
+        without = [library.indices_of[instance.label] for instance in removed]
+        further = [library.indices_of[instance.label] for instance in added]
         free = np.setdiff1d(state.free, np.concatenate([NO_INDICES, *without]))
         free = np.concatenate([free, *further]).astype(np.int64)
         nonsmooth = nonsmooth_magnitudes(library, added if scanned is None else scanned)
@@ -497,7 +497,7 @@ class Selection:
         jacobian: (f, W, n) by the state's free numbers.
         """
         instance = candidate.instance
-        indices = self.library.places[instance.label]
+        indices = self.library.indices_of[instance.label]
         theta = state.theta.copy()
         theta[indices] = candidate.magnitudes
         free = np.concatenate([state.free, indices]).astype(np.int64)
@@ -619,7 +619,7 @@ def nonsmooth_magnitudes(library: Library, instances: Sequence[EffectInstance]) 
     for instance in instances:
         if instance.linear_in is not None:
             continue  # smooth wherever it is present
-        indices = library.places[instance.label]
+        indices = library.indices_of[instance.label]
         for index, quantity in zip(indices, instance.quantities, strict=True):
             if not quantity.smooth:
                 nonsmooth.append(index)

@@ -273,7 +273,7 @@ class SetSearch:
     def _refitted(self, state: State) -> list[State]:
         """The sets that promise most in the place of a model's own, refitted in simulation."""
         selection = self.selection
-        places = selection.library.places
+        indices_of = selection.library.indices_of
         pool = self._pool(state)
         if not pool:
             return []
@@ -289,9 +289,9 @@ class SetSearch:
             self.seen.add(labels)
             theta = state.theta.copy()
             for instance in exchange.removed:
-                theta[places[instance.label]] = 0.0
+                theta[indices_of[instance.label]] = 0.0
             for instance, magnitudes in zip(exchange.added, exchange.magnitudes, strict=True):
-                theta[places[instance.label]] = magnitudes
+                theta[indices_of[instance.label]] = magnitudes
             named = ", ".join(instance.label for instance in exchange.added)
             selection.progress(0.9, f"fitting {named} together")
             found.append(selection.try_set(state, theta, exchange.removed, exchange.added))
@@ -312,7 +312,7 @@ class SetSearch:
         for instance in state.accepted:
             partner = partner_of(instance, others)
             if partner is not None:
-                half = 0.5 * state.theta[selection.library.places[instance.label]]
+                half = 0.5 * state.theta[selection.library.indices_of[instance.label]]
                 found.setdefault(partner.label, (partner, half))
             origin = selection.origins.get(instance.label)
             trials = [] if origin is None else list(origin.trials)
@@ -379,11 +379,11 @@ def gram_of(
     thetas = []
     for instance in state.accepted:
         theta = state.theta.copy()
-        theta[library.places[instance.label]] = 0.0
+        theta[library.indices_of[instance.label]] = 0.0
         thetas.append(theta)
     multiples = []
     for instance, magnitudes in pool:
-        indices = library.places[instance.label]
+        indices = library.indices_of[instance.label]
         theta = state.theta.copy()
         theta[indices] = magnitudes
         thetas.append(theta)
@@ -403,7 +403,7 @@ def gram_of(
     products = flat @ flat.T
     owner = np.full(len(state.free), -1)
     for i, instance in enumerate(state.accepted):
-        owner[np.isin(state.free, library.places[instance.label])] = i
+        owner[np.isin(state.free, library.indices_of[instance.label])] = i
     measurements = max(train.residuals[~train.lost].size, 1)
     variance = max(float(products[0, 0]) / measurements, 0.5)
     return Gram(

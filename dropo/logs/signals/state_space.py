@@ -78,7 +78,7 @@ SMALLEST_SPREAD = 1e-9  # stands for the standard deviation of a signal that doe
 # transition is in the next row.
 
 
-def places_before(trajectories: Trajectories) -> NDArray[np.int64]:
+def state_row_before(trajectories: Trajectories) -> NDArray[np.int64]:
     """Find the state before each transition among all states.
 
     Parameters
@@ -108,13 +108,13 @@ def replace_states(trajectories: Trajectories, states: Array) -> Trajectories:
     -------
     Trajectories
     """
-    before = places_before(trajectories)
+    before = state_row_before(trajectories)
     return replace(trajectories, observations=states[before], next_observations=states[before + 1])
 
 
 def _measured_states(trajectories: Trajectories) -> Array:
     """(M, p) every state as measured: as a start where there is one, else as an end."""
-    before = places_before(trajectories)
+    before = state_row_before(trajectories)
     count = len(trajectories) + len(trajectories.spans)
     states = np.empty((count, trajectories.observations.shape[1]))
     # Ends first: where the next transition starts there, its start replaces them.
@@ -481,7 +481,7 @@ def _expected_process(
     trajectories: Trajectories, linear: _LinearizedTransitions, smoothed: _Smoothed
 ) -> Array:
     """(p, p) expected outer product of what the linear model misses in a step."""
-    before = places_before(trajectories)
+    before = state_row_before(trajectories)
     after = before + 1
     a = linear.jacobian
     # What is missed is x' - predicted - A (x - at), where x and x' are known with errors. Its mean:

@@ -26,8 +26,8 @@ from dropo.logs.signals.state_space import (
     StateSpaceModel,
     estimate_along,
     learn_noise,
-    places_before,
     replace_states,
+    state_row_before,
 )
 
 
@@ -198,7 +198,7 @@ def estimate_states(
     states, covariance = estimate_along(model, variance, process, causal)
     return StateEstimate(
         trajectories=_with_sensors(replace_states(trajectories, states), trajectories, simulator),
-        covariance=covariance[places_before(trajectories)],
+        covariance=covariance[state_row_before(trajectories)],
         noise=np.where(is_measured, variance, np.inf),
         process=process,
         causal=causal,

@@ -105,7 +105,7 @@ def test_numbers_that_move_nothing_are_unknown():
     is, and no set of numbers that are told together has it.
     """
     model = torque_arm("joint_armature:elbow", "payload:fore")
-    mass, *place = model.library.places["payload:fore"]
+    mass, *place = model.library.indices_of["payload:fore"]
     theta = model.theta.copy()
     theta[mass] = 0.05
     model = model.at(theta)

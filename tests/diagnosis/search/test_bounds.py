@@ -16,7 +16,7 @@ FRICTION = EffectInstance(
     "joint_friction", "elbow", (Quantity("frictionloss", "N m", -0.2, 1.0, (0.1,), base=0.2),)
 )
 LIBRARY = SimpleNamespace(
-    places={FRICTION.label: np.array([1])},
+    indices_of={FRICTION.label: np.array([1])},
     simulator=SimpleNamespace(
         space=SimpleNamespace(
             names=("mass", "joint_friction:elbow/frictionloss"),

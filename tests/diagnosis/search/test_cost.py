@@ -94,7 +94,7 @@ def test_what_sets_in_responds_as_what_always_holds(arm):
         assert steps == len(probed) // moments * once
         for _, probe in probed:
             there = theta.copy()
-            there[library.places[one.label]] = probe[0]
+            there[library.indices_of[one.label]] = probe[0]
             simulated = library.predict(there[None], windows)[0] - linearized.predicted
             error = np.abs(responses[one.label, probe][0] - simulated).max()
             assert error <= 1e-12 * np.abs(simulated).max()
@@ -170,7 +170,7 @@ def test_slopes_of_the_screening_begin_a_trial(arm):
     screening(linearized, np.arange(1), library.instances)
     (slopes,), steps = spent(library, lambda: screening.slopes(windows, damping))
     assert steps == 0
-    (exact,) = library.jacobian(theta, library.places[damping.label], windows)
+    (exact,) = library.jacobian(theta, library.indices_of[damping.label], windows)
     assert np.abs(slopes - exact).max() < 0.05 * np.abs(exact).max()
     assert screening.slopes(windows, from_a_moment) is None
 
@@ -179,9 +179,9 @@ def test_a_scan_is_made_on_some_windows(arm):
     """Its best number is simulated on all: a third of the steps, and the same number."""
     library, windows, theta, noise = arm
     there = theta.copy()
-    there[library.places["joint_damping:elbow"]] = 0.05
+    there[library.indices_of["joint_damping:elbow"]] = 0.05
     linearized = linearize(library, windows, there, noise)
-    number = int(library.places["joint_damping:elbow"][0])
+    number = int(library.indices_of["joint_damping:elbow"][0])
     settings = RefitSettings()
     quick, steps = spent(library, lambda: _scan(library, linearized, number, settings))
     every = replace(settings, fewest=1000)

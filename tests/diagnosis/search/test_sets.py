@@ -40,7 +40,7 @@ def test_a_wrong_set_is_exchanged_at_once(wrong):
     start = forced(search, first, *wrong)
     found, _ = review(search, SetSearch(search, first, instances()).run(start))
     assert names_of(found) == set(HIDDEN)
-    sizes = [found.theta[search.library.places[one.label]][0] for one in found.accepted]
+    sizes = [found.theta[search.library.indices_of[one.label]][0] for one in found.accepted]
     wanted = [HIDDEN[one.effect] for one in found.accepted]
     np.testing.assert_allclose(sizes, wanted, rtol=0.05)
 
@@ -82,7 +82,8 @@ def test_aliases_are_computed_beside_the_rest_of_a_set():
     assert names_of(last) == {"damping", "friction"}
     compared = beside_the_rest(search.library, last, reviews, AliasSettings(nearly=0.0))
     similar = compared["friction:mass"].similar["drag:mass"]
-    columns = [search.library.places[f"{name}:mass"] for name in ("friction", "drag", "damping")]
+    indices_of = search.library.indices_of
+    columns = [indices_of[f"{name}:mass"] for name in ("friction", "drag", "damping")]
     rows = last.train.flat(
         search.library.jacobian(last.theta, np.concatenate(columns), last.train.windows)
     )

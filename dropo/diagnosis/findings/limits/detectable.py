@@ -183,14 +183,14 @@ def _smallest(
 ) -> float | None:
     """The smallest size of one effect, by the sign that needs more; None where there is none."""
     space = library.simulator.space
-    places = library.places[instance.label]
-    place = int(places[0])
+    indices = library.indices_of[instance.label]
+    first = int(indices[0])
     theta = last.theta.copy()
     if instance.linear_in is not None:
         # It acts in proportion to its first magnitude, wherever it is.
-        theta[places[1:]] = instance.trials[0][0][1:]
-    base = float(theta[place])
-    room = {1.0: float(space.high[place]) - base, -1.0: base - float(space.low[place])}
+        theta[indices[1:]] = instance.trials[0][0][1:]
+    base = float(theta[first])
+    room = {1.0: float(space.high[first]) - base, -1.0: base - float(space.low[first])}
     probe = min(abs(value) for value in instance.quantities[0].probes)
     sizes: list[float] = []
     for sign, most in room.items():
@@ -200,7 +200,7 @@ def _smallest(
         size = min(max(sizes, default=probe), most)
         needed = None
         for _ in range(settings.rounds):
-            theta[place] = base + sign * size
+            theta[first] = base + sign * size
             squares = _squares(library, last.test, theta, basis)
             if squares is None or np.sqrt(squares.max()) < settings.none:
                 needed = None

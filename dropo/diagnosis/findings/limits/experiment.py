@@ -224,9 +224,9 @@ def experiments(
 
     # The model with everything; without the first effect; with each other in its place.
     thetas = np.repeat(last.theta[None], 2 + len(others), axis=0)
-    thetas[1:, library.places[one.label]] = 0.0
+    thetas[1:, library.indices_of[one.label]] = 0.0
     for theta, (other, sizes) in zip(thetas[2:], others, strict=True):
-        theta[library.places[other.label]] = sizes
+        theta[library.indices_of[other.label]] = sizes
     sigma = last.train.whiten.sigma
 
     # What the recorded data say of the difference.

@@ -240,7 +240,7 @@ def responses_to(
     (W, n, pieces nv) array
         d residual / d force.
     """
-    free = np.concatenate([library.places[instance.label] for instance in instances])
+    free = np.concatenate([library.indices_of[instance.label] for instance in instances])
     steps = library.steps[free]
     thetas = np.repeat(linearized.theta[None], len(free), axis=0)
     thetas[np.arange(len(free)), free] = steps
