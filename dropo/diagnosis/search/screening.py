@@ -31,7 +31,9 @@ Probe = tuple[tuple[float, ...], ...]
 """t vectors of changes of an effect's q magnitudes, along which one score test is made together."""
 ProbedEffect = tuple[EffectInstance, Probe]
 """An effect and one of its probes."""
-Responses = dict[tuple[str, Probe], Array]
+ResponseKey = tuple[str, Probe]
+"""An effect's label and one of its probes."""
+Responses = dict[ResponseKey, Array]
 """By an effect's label and the probe, the change (t, W, n) of the predictions."""
 
 SMALLEST_LENGTH = 1e-300  # stands for the length of a response that is 0
@@ -53,7 +55,7 @@ class ScreeningSettings:
         A first choice takes one window of so many.
     coarse_windows : int
         There is a first choice only where it has at least so many windows.
-    kept : int
+    kept_screenings : int
         So many screenings keep the responses of all windows.
     noise_rounds : int
         Iterations in which the noise is learned for one promise.
@@ -66,7 +68,7 @@ class ScreeningSettings:
     finalists: int = 18
     coarse_stride: int = 4
     coarse_windows: int = 12
-    kept: int = 3
+    kept_screenings: int = 3
     noise_rounds: int = 4
     minimum_variance: float = 0.5
 
@@ -136,8 +138,9 @@ class Screening:
     first_responses : dict
         Their responses, by effect and probe, which all later choices take too.
     counted : set
-        Which of these have been counted as simulator steps, also by a search that was resumed.
-    kept : list
+        The effects and probes whose responses have been counted as simulator steps, also those of
+        a choice that a resumed search read from the log.
+    recent_responses : list
         All windows that were screened last, and their responses as they were first found.
     best : dict
         By an effect's label, the probe along which it promised most on all windows.
@@ -149,8 +152,8 @@ class Screening:
     log: EvaluationLog = field(default_factory=EvaluationLog)
     first_windows: LinearizedWindows | None = None
     first_responses: Responses = field(default_factory=dict)
-    counted: set[tuple[str, Probe]] = field(default_factory=set)
-    kept: list[tuple[Windows, Responses]] = field(default_factory=list)
+    counted: set[ResponseKey] = field(default_factory=set)
+    recent_responses: list[tuple[Windows, Responses]] = field(default_factory=list)
     best: dict[str, Probe] = field(default_factory=dict)
 
     def __call__(
@@ -186,7 +189,7 @@ class Screening:
         # These are scored on all windows.
         inside = _inside_bounds(self.library, linearized.theta, free)
         jacobian = self.library.kept_jacobian(linearized.theta, inside, linearized.windows)
-        responses = self._responses_of(linearized)
+        responses = self._responses_of(linearized.windows)
         scored = self._score_all(linearized, jacobian, probed, responses)
         self.best.update({label: probe for label, (_, probe) in scored.items()})
         return _by_gain(scored)
@@ -213,30 +216,37 @@ class Screening:
         list of list of Candidate
             For each part, the one that promises most first.
         """
-        known = self._responses_of(linearized)
+        responses = self._responses_of(linearized.windows)
         probed: list[ProbedEffect] = []
         for instance in instances:
             best = self.best.get(instance.label)
             probes = all_probes(instance) if best is None else [best]
             probed += [(instance, probe) for probe in probes]
-        self._add_responses(linearized, probed, known)
+        self._add_responses(linearized, probed, responses)
         inside = _inside_bounds(self.library, linearized.theta, free)
         jacobian = self.library.kept_jacobian(linearized.theta, inside, linearized.windows)
         found = []
         for part in parts:
-            of_part = {key: changes[:, part] for key, changes in known.items()}
+            of_part = {key: changes[:, part] for key, changes in responses.items()}
             own = linearized.take(part)
             found.append(_by_gain(self._score_all(own, jacobian[:, part], probed, of_part)))
         return found
 
-    def _responses_of(self, linearized: LinearizedWindows) -> Responses:
+    def _responses_of(self, windows: Windows) -> Responses:
         """The responses of all windows that are known by now; what is added to them is kept."""
-        for windows, responses in self.kept:
-            if windows is linearized.windows:
-                return responses
-        responses = {}
-        self.kept = [(linearized.windows, responses), *self.kept[: self.settings.kept - 1]]
+        responses = self._recent_responses_of(windows)
+        if responses is None:
+            responses = {}
+            before = self.recent_responses[: self.settings.kept_screenings - 1]
+            self.recent_responses = [(windows, responses), *before]
         return responses
+
+    def _recent_responses_of(self, windows: Windows) -> Responses | None:
+        """The responses of windows; None where these were not screened lately."""
+        for screened, responses in self.recent_responses:
+            if screened is windows:
+                return responses
+        return None
 
     def slopes(self, windows: Windows, instance: EffectInstance) -> Array | None:
         """Return the derivatives of predictions by an effect's magnitudes, as screening saw them.
@@ -257,8 +267,8 @@ class Screening:
         probe = self.best.get(instance.label)
         if probe is None or not smooth or instance.time_profile or instance.linear_in:
             return None
-        known = next((known for kept, known in self.kept if kept is windows), {})
-        changes = known.get((instance.label, probe))
+        responses = self._recent_responses_of(windows) or {}
+        changes = responses.get((instance.label, probe))
         if changes is None or len(probe) != len(instance.quantities):
             return None
         return np.asarray(np.tensordot(np.linalg.pinv(np.array(probe)), changes, axes=1))
@@ -296,7 +306,7 @@ class Screening:
         key = np.concatenate([some.theta, some.whiten.sigma])
         chosen = recorded(self.log, self.library.simulator, key, choose, pack, unpack)
         counted = [*coarse, *_every_probe([instance for instance, _ in chosen])]
-        self.counted.update((instance.label, probe) for instance, probe in counted)
+        self.counted.update(_key(instance, probe) for instance, probe in counted)
         return chosen
 
     def _choose(
@@ -323,15 +333,18 @@ class Screening:
     def _add_first_responses(self, probed: Sequence[ProbedEffect]) -> None:
         """Simulate what is missing of the first windows' responses.
 
-        A search that was resumed simulates again what has been counted.
+        A search that was resumed reads its choices from the log, with the steps that their
+        responses took, but has not the responses: these it simulates again.
         """
         first = self.first_windows
         assert first is not None
         simulator = self.library.simulator
-        before = [one for one in probed if (one[0].label, one[1]) in self.counted]
-        steps = simulator.steps
-        self._add_responses(first, before, self.first_responses)
-        simulator.steps = steps
+        counted = [one for one in probed if _key(*one) in self.counted]
+        # Their steps were counted when the choice was read: put the counter back, so that a resumed
+        # search ends with as many steps as one that was never interrupted.
+        steps_before = simulator.steps
+        self._add_responses(first, counted, self.first_responses)
+        simulator.steps = steps_before
         self._add_responses(first, probed, self.first_responses)
 
     def _score_all(
@@ -351,9 +364,9 @@ class Screening:
         # Whatever the free numbers of theta explain is no evidence of an effect: project it out of
         # the whitened residuals, and below out of the whitened responses.
         basis = _explained_by(linearized, jacobian)
-        residuals = project_out(linearized.flat(linearized.residuals), basis)
+        unexplained = project_out(linearized.flat(linearized.residuals), basis)
         measurements = max(linearized.residuals[~linearized.lost].size, 1)
-        mean_square = float(residuals @ residuals) / measurements
+        mean_square = float(unexplained @ unexplained) / measurements
         variance = max(mean_square, self.settings.minimum_variance)
 
         # Of all probes of an effect, the one that promises most stands for it.
@@ -362,7 +375,7 @@ class Screening:
         for instance, probe in probed:
             changes = responses[instance.label, probe]
             whitened = project_out(linearized.flat(changes), basis)
-            scored = [_score(library, theta, instance, probe, whitened, residuals, variance)]
+            scored = [_score(library, theta, instance, probe, whitened, unexplained, variance)]
             if instance.sensor_delay is not None:
                 for magnitudes, change in zip(probe, changes, strict=True):
                     scored.append(self._with_new_noise(linearized, instance, magnitudes, change))
@@ -384,21 +397,25 @@ class Screening:
         """
         library = self.library
         windows = linearized.windows
-        noise = linearized.whiten.noise
         loadings = linearized.loadings
-        # The windows with the delay, under the noise as it is.
+        # The magnitudes are those that were simulated; a delay's probes lie within its bounds.
         theta = linearized.theta.copy()
         indices = library.indices_of[instance.label]
         theta[indices] += np.array(magnitudes)
-        whiten = whitener(library, windows, theta, noise, loadings)
+        # The windows with the delay, under the noise as it is.
+        noise_before = linearized.whiten.noise
+        whiten = whitener(library, windows, theta, noise_before, loadings)
         delayed = replace(linearized, residuals=linearized.residuals - change, whiten=whiten)
         # The same under the noise that is then left.
-        noise = estimate_noise(delayed, noise, self.floor, rounds=self.settings.noise_rounds)
-        whiten = whitener(library, windows, theta, noise, loadings)
-        learned = replace(delayed, whiten=whiten)
+        rounds = self.settings.noise_rounds
+        noise_left = estimate_noise(delayed, noise_before, self.floor, rounds=rounds)
+        whiten = whitener(library, windows, theta, noise_left, loadings)
+        with_noise_left = replace(delayed, whiten=whiten)
         # What both together gain, in windows that do not diverge.
-        gains = learned.log_likelihood - linearized.log_likelihood
+        gains = with_noise_left.log_likelihood - linearized.log_likelihood
         gain = float(gains[~linearized.lost].sum())
+        # This gain counts all that the delay explains, also what the free numbers of theta could:
+        # so the signature is the whole change, with nothing projected out.
         whitened = linearized.flat(change)
         signature = whitened / max(float(np.linalg.norm(whitened)), SMALLEST_LENGTH)
         return Candidate(instance, theta[indices], gain, signature)
@@ -411,28 +428,41 @@ class Screening:
     ) -> None:
         """Simulate the responses that are missing, and add them.
 
-        Of an effect that sets in, the effect that always holds is simulated: a window responds as
-        to that, or not at all.
+        Of an effect that sets in, the effect that always holds is simulated.
         """
-        missing: dict[tuple[str, Probe], ProbedEffect] = {}
-        set_in: list[tuple[ProbedEffect, ProbedEffect, Array]] = []
+        missing: dict[ResponseKey, ProbedEffect] = {}
+        derived: list[_DerivedResponse] = []
         for instance, probe in probed:
-            if (instance.label, probe) in responses:
+            if _key(instance, probe) in responses:
                 continue
             simulated = (instance, probe)
-            constant = self._constant(instance)
-            if constant is not None:
-                parts = _parts(linearized.windows, instance, probe)
-                if np.isin(parts, (0.0, 1.0)).all():
-                    count = len(constant.quantities)
-                    simulated = (constant, tuple(magnitudes[:count] for magnitudes in probe))
-                    set_in.append(((instance, probe), simulated, parts))
-            key = (simulated[0].label, simulated[1])
-            if key not in responses:
-                missing[key] = simulated
+            from_constant = self._from_constant(linearized.windows, instance, probe)
+            if from_constant is not None:
+                derived.append(from_constant)
+                simulated = from_constant.constant_probe
+            if _key(*simulated) not in responses:
+                missing[_key(*simulated)] = simulated
         self._simulate(linearized, list(missing.values()), responses)
-        for (instance, probe), (constant, whole), parts in set_in:
-            responses[instance.label, probe] = parts[:, :, None] * responses[constant.label, whole]
+        for one in derived:
+            constant = responses[_key(*one.constant_probe)]
+            responses[_key(*one.probed)] = one.factors[:, :, None] * constant
+
+    def _from_constant(
+        self, windows: Windows, instance: EffectInstance, probe: Probe
+    ) -> "_DerivedResponse | None":
+        """How the response to an effect that sets in follows from that to the constant effect; None
+        where it must be simulated itself.
+        """
+        constant = self._constant(instance)
+        if constant is None:
+            return None
+        factors = _profile_factors(windows, instance, probe)
+        if not np.isin(factors, (0.0, 1.0)).all():
+            return None
+        # The constant effect's magnitudes come first, those of the time profile behind them.
+        count = len(constant.quantities)
+        constant_probe = tuple(magnitudes[:count] for magnitudes in probe)
+        return _DerivedResponse((instance, probe), (constant, constant_probe), factors)
 
     def _constant(self, instance: EffectInstance) -> EffectInstance | None:
         """The effect that always holds of one with a time profile; None where there is none."""
@@ -473,8 +503,24 @@ class Screening:
         return self.library.predict(within_bounds, linearized.windows)
 
 
-def _parts(windows: Windows, instance: EffectInstance, probe: Probe) -> Array:
-    """(t, W) the part of a probe's magnitudes that holds in each window."""
+@dataclass(frozen=True, eq=False)
+class _DerivedResponse:
+    """A probe of an effect that sets in, and that of the constant effect whose response it has,
+    times factors (t, W): 1 in a window where the effect holds, 0 where it does not.
+    """
+
+    probed: ProbedEffect
+    constant_probe: ProbedEffect
+    factors: Array
+
+
+def _key(instance: EffectInstance, probe: Probe) -> ResponseKey:
+    """By what responses to a probe are found."""
+    return instance.label, probe
+
+
+def _profile_factors(windows: Windows, instance: EffectInstance, probe: Probe) -> Array:
+    """(t, W) the factors of a probe's magnitudes in each window, as the time profile has them."""
     profile: Any = instance.time_profile
     return np.stack([profile(windows.segments, np.array(magnitudes)) for magnitudes in probe])
 
@@ -599,23 +645,25 @@ def _score(
     theta: Array,
     instance: EffectInstance,
     probe: Probe,
-    responses: Array,
-    residuals: Array,
+    whitened_responses: Array,
+    unexplained: Array,
     variance: float,
 ) -> Candidate | None:
-    """The score test of residuals (N,) along the responses (t, N) to a probe, all whitened.
+    """The score test of residuals (N,) along the responses (t, N) to a probe, all whitened and with
+    what is fitted anyway projected out.
 
     None where the windows do not respond, or where the residuals ask for magnitudes out of bounds.
     """
-    lengths = np.linalg.norm(responses, axis=1)
-    negligible = NEGLIGIBLE_RESPONSE * np.sqrt(variance * len(residuals))
+    # Predictions may be linear not in the magnitudes, but in coefficients that these stand for.
     if instance.linear_in is not None and probe in instance.trials:
-        return _score_place(library, instance, probe, responses, residuals, variance)
+        return _score_on_grid(library, instance, probe, whitened_responses, unexplained, variance)
+    lengths = np.linalg.norm(whitened_responses, axis=1)
+    negligible = NEGLIGIBLE_RESPONSE * np.sqrt(variance * len(unexplained))
     if not np.all(lengths > negligible):
         return None
     # The multiples of the probe's t vectors that explain the residuals best, by least squares, and
     # the change of the magnitudes (q,) that they make together.
-    multiples = np.linalg.lstsq(responses.T, residuals, rcond=RANK_TOLERANCE)[0]
+    multiples = np.linalg.lstsq(whitened_responses.T, unexplained, rcond=RANK_TOLERANCE)[0]
     wanted_change = multiples @ np.array(probe)
     # The magnitudes that come nearest to that within the bounds; at least one must move that way.
     indices = library.indices_of[instance.label]
@@ -625,46 +673,52 @@ def _score(
     possible_change = magnitudes - before
     if not np.any(possible_change * wanted_change > 0):
         return None
-    # What is fitted takes `fitted @ residuals` from the sum of squares: half of that, in units of
+    # What is fitted takes `fitted @ unexplained` from the sum of squares: half of that, in units of
     # the variance, is the gain in log-likelihood.
-    fitted = multiples @ responses
-    gain = float(fitted @ residuals) / (2 * variance)
+    fitted = multiples @ whitened_responses
+    gain = float(fitted @ unexplained) / (2 * variance)
     signature = fitted / np.linalg.norm(fitted)
     return Candidate(instance, magnitudes, gain, signature)
 
 
-def _score_place(
+def _score_on_grid(
     library: Library,
     instance: EffectInstance,
     probe: Probe,
-    responses: Array,
-    residuals: Array,
+    whitened_responses: Array,
+    unexplained: Array,
     variance: float,
 ) -> Candidate | None:
-    """The score test of an effect whose responses are linear in numbers of its magnitudes.
+    """The score test of an effect like a payload: its response is linear in coefficients (k,), such
+    as mass and mass times place, that are in proportion to its first magnitude.
 
-    The magnitudes behind the first are found on a grid, which costs no simulation; arguments as of
-    `_score`.
+    The responses to the probe's t vectors give that to each coefficient. With it, the further
+    magnitudes are tried on a grid, each with the best first one, without any simulation. Arguments
+    as of `_score`; None where no first magnitude above 0 explains anything.
     """
     linear_in = instance.linear_in
     if linear_in is None:
         raise AssertionError("predictions are linear in the magnitudes")
     tried = np.array(probe)
-    by_number = np.linalg.pinv(linear_in(tried), rcond=RANK_TOLERANCE) @ responses
+    by_coefficient = np.linalg.pinv(linear_in(tried), rcond=RANK_TOLERANCE) @ whitened_responses
 
-    def numbers(places: Array) -> Array:
-        """The numbers of a first magnitude of 1."""
-        return linear_in(np.insert(places, 0, 1.0, axis=1))
+    def coefficients(further_magnitudes: Array) -> Array:
+        """(K, k) of a first magnitude of 1 with each of K further ones (K, q - 1)."""
+        return linear_in(np.insert(further_magnitudes, 0, 1.0, axis=1))
 
-    indices = library.indices_of[instance.label]
-    high = library.simulator.space.high[indices]
+    high = library.simulator.space.high[library.indices_of[instance.label]]
     best = best_place(
-        numbers, by_number @ by_number.T, by_number @ residuals, tried[0, 1:], high[1:]
+        coefficients,
+        by_coefficient @ by_coefficient.T,
+        by_coefficient @ unexplained,
+        tried[0, 1:],
+        high[1:],
     )
     if best is None:
         return None
-    magnitudes = np.append(min(best.size, float(high[0])), best.place)
-    fitted = linear_in(np.append(best.size, best.place)) @ by_number
+    further_magnitudes = best.place
+    magnitudes = np.append(min(best.size, float(high[0])), further_magnitudes)
+    fitted = linear_in(np.append(best.size, further_magnitudes)) @ by_coefficient
     signature = fitted / max(float(np.linalg.norm(fitted)), SMALLEST_LENGTH)
     return Candidate(instance, magnitudes, best.gain / (2 * variance), signature)
 
