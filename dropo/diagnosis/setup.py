@@ -245,8 +245,8 @@ class SearchSetup:
             raise AssertionError("only a model that is far off is explained by whole motions")
         accepted = tuple(instance for instance, _ in self.explained.model.numbers)
         free = self.explained.model.fitted
-        first = self._as_it_is(nominal_of(self.library), self.free, ())
-        last = self._as_it_is(self.padded(self.explained.model.theta), free, accepted)
+        first = self._without_fitting(nominal_of(self.library), self.free, ())
+        last = self._without_fitting(self.padded(self.explained.model.theta), free, accepted)
         noise = last.train.whiten.noise
         reviews = {}
         for label, theta in self.explained.without.items():
@@ -321,10 +321,12 @@ class SearchSetup:
         """
         return None if self.explained is None else self.padded(self.explained.errors)
 
-    def _as_it_is(self, theta: Array, free: Ints, accepted: tuple[EffectInstance, ...]) -> State:
+    def _without_fitting(
+        self, theta: Array, free: Ints, accepted: tuple[EffectInstance, ...]
+    ) -> State:
         """A model with its noise estimated."""
         noise = self._first_noise(theta)
-        return self.selection.as_it_is(self.train, self.test, theta, noise, free, accepted)
+        return self.selection.without_fitting(self.train, self.test, theta, noise, free, accepted)
 
     def _first_noise(self, theta: Array) -> WindowNoise:
         """The noise guessed from single steps, unless it is known to be coloured."""

@@ -49,7 +49,7 @@ def with_noise_left(
     size = min(len(before.theta), len(setup.library.simulator.space))
     theta = setup.padded(before.theta[:size])
     plain = white(before.train.whiten.sigma)
-    state = setup.selection.as_it_is(
+    state = setup.selection.without_fitting(
         setup.train, setup.test, theta, plain, before.free, before.accepted
     )
     noise = other_noise(setup.library, state.train, setup.selection.floor, settings)

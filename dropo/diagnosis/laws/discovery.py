@@ -658,7 +658,7 @@ def _with_short_steps(
 def _is_simpler(state: State, polished: State, selection: Selection) -> bool:
     """Whether a law does better with fewer numbers than the effects in whose place it is."""
     gain = penalized_log_likelihood(polished) - penalized_log_likelihood(state)
-    return len(polished.free) < len(state.free) and gain > selection.settings.deficit
+    return len(polished.free) < len(state.free) and gain > selection.settings.negligible_gain
 
 
 def _of_the_machine(
@@ -716,7 +716,7 @@ def _pruned(
         whole = _extended(selection, again[3]).polish(again[0].state)
         without = _view(again[3], whole.test, selection, short)
         if gain_of(without, _view(library, polished.test, selection, short))[0] < (
-            selection.settings.deficit
+            selection.settings.negligible_gain
         ):
             return _pruned(selection, state, (again[0], fewer, alike, again[3]), whole, short)
     return trial, proposal, library, polished
@@ -755,11 +755,11 @@ def _summary_of(
     for trial, other, likes, _ in trials:
         if trial is accepted or not is_other(other):
             continue
-        deficit, z = gain_of(trial.state.test, polished.test)
-        if not (z < limit or deficit < selection.settings.deficit):
+        loss, z = gain_of(trial.state.test, polished.test)
+        if not (z < limit or loss < selection.settings.negligible_gain):
             continue
         text = formula_of(other)[0]
-        why = f"{deficit:.1f} nats worse on held-out data, {z:.1f} standard errors"
+        why = f"{loss:.1f} nats worse on held-out data, {z:.1f} standard errors"
         others[f"{other.joint}:{text}"] = OtherFormula(text, other.joint, why)
         for like in filter(is_other, likes[:1]):
             text = formula_of(like)[0]

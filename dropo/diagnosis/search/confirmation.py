@@ -54,14 +54,15 @@ class SelectionSettings:
         Cosine of two whitened responses from which two effects do the same to the data.
     plausibility : Plausibility
         How usual each effect is: what decides between those that do the same to the data.
-    deficit : float
-        Held-out loss below which an effect with fewer magnitudes is as good [nats].
+    negligible_gain : float
+        Difference of two models' log-likelihoods below which neither is better [nats].
     first_noise_stride : int
         The first estimate of the noise takes one window of so many.
     maximum_diverging : float
         Fraction of diverging windows beyond which the model is refused.
     indistinguishable_z : float
-        An alternative within so many standard errors, or within `deficit`, cannot be distinguished.
+        An alternative within so many standard errors, or within `negligible_gain`, cannot be
+        distinguished.
     alternative_fraction : float
         An alternative to an accepted effect must have more than this fraction of the penalized
         gain that the effect had in the same batch, to be tried in its place.
@@ -93,7 +94,7 @@ class SelectionSettings:
     maximum_polished: int = 3
     similarity: float = 0.98
     plausibility: Plausibility = field(default_factory=Plausibility)
-    deficit: float = 4.0
+    negligible_gain: float = 4.0
     first_noise_stride: int = 3
     maximum_diverging: float = 0.3
     indistinguishable_z: float = 2.0

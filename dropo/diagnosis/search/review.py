@@ -12,7 +12,7 @@ import numpy as np
 
 from dropo.core.contracts.effect import EffectInstance
 from dropo.diagnosis.search.confirmation import SETTINGS, SelectionSettings, gain_of, is_confirmed
-from dropo.diagnosis.search.linearization import shift_linearization
+from dropo.diagnosis.search.linearization import Library, shift_linearization
 from dropo.diagnosis.search.refit import settle
 from dropo.diagnosis.search.screening import Candidate
 from dropo.diagnosis.search.selection import Selection
@@ -33,8 +33,8 @@ class Review:
     alternatives : sequence of Trial
         Other candidates of that batch, refitted in its place.
     similar : mapping of str to float
-        By their labels, the cosines of other effects' responses with its own, what the rest of the
-        set explains projected out; none where nothing else was accepted.
+        By the label of another effect, how alike its response and this one's are: the cosine of
+        both, what the other accepted effects explain projected out. Empty where there are none.
     """
 
     without: State
@@ -148,7 +148,7 @@ def _better_model(selection: Selection, state: State, reviewed: Review) -> State
     if len(state.accepted) == 1:
         return None
     held_out_gain, _ = gain_of(reviewed.without.test, state.test)
-    if held_out_gain < selection.settings.deficit:
+    if held_out_gain < selection.settings.negligible_gain:
         return reviewed.without
     return _better_alternative(selection, state, reviewed)
 
@@ -168,9 +168,9 @@ def _better_alternative(selection: Selection, state: State, reviewed: Review) ->
             continue
         # Fitted to the end, it must gain more, and windows held out must confirm that.
         polished = selection.polish(trial.state)
-        if not penalized_log_likelihood(polished) > with_effect + settings.deficit:
+        if not penalized_log_likelihood(polished) > with_effect + settings.negligible_gain:
             continue
-        if is_confirmed(state.test, polished.test, settings.deficit, settings):
+        if is_confirmed(state.test, polished.test, settings.negligible_gain, settings):
             selection.origins[trial.candidate.instance.label] = reviewed.origin
             return polished
     return None
@@ -228,42 +228,78 @@ def merge(selection: Selection, state: State, instances: Sequence[EffectInstance
         With the fewer effects if their fewer magnitudes outweigh the loss by BIC, else `state`
         itself.
     """
-    for common in instances:
-        replaced, fewer = _replacement(state, common, instances)
-        if not 0 < len(fewer) < len(replaced):
+    for everywhere in instances:
+        replacement = _replacement(selection.library, state, everywhere, instances)
+        if replacement is None:
             continue
-        merged = _merged(selection, state, replaced, fewer)
+        merged = _merged(selection, state, replacement)
         # Fewer magnitudes take the place of several: is the loss less than BIC asks for them?
         gain, _ = gain_of(state.train, merged.train)
-        magnitudes = sum(len(instance.quantities) for instance in replaced)
-        saved_penalty = 0.5 * (magnitudes - len(fewer)) * np.log(state.train.windows.steps)
+        magnitudes_before = sum(len(instance.quantities) for instance in replacement.replaced)
+        magnitudes_after = len(replacement.fewer)
+        fewer_magnitudes = magnitudes_before - magnitudes_after
+        saved_penalty = 0.5 * fewer_magnitudes * np.log(state.train.windows.steps)
         if -gain < saved_penalty:
-            for instance in fewer:
-                selection.note_origin(instance)
+            for instance in replacement.fewer:
+                selection.set_origin_to_first_batch(instance)
             return merged
     return state
 
 
-def _replacement(
-    state: State, common: EffectInstance, instances: Sequence[EffectInstance]
-) -> tuple[list[EffectInstance], list[EffectInstance]]:
-    """The accepted effects of one kind that others may replace, and these others, of one magnitude
-    each; nothing where `common` is no effect that acts everywhere, or no local one is accepted.
+@dataclass(frozen=True, eq=False)
+class _Replacement:
+    """Accepted effects of one kind, fewer ones of one magnitude each that may replace them, and the
+    magnitude that each of these begins with.
     """
-    if common.target is not None or len(common.quantities) != 1:
-        return [], []
-    local = _local_effects(common.effect, state.accepted)
+
+    replaced: Sequence[EffectInstance]
+    fewer: Sequence[EffectInstance]
+    magnitude: float
+
+
+def _replacement(
+    library: Library, state: State, everywhere: EffectInstance, instances: Sequence[EffectInstance]
+) -> _Replacement | None:
+    """What may replace the accepted effects of one kind; None where `everywhere` is no effect that
+    acts everywhere, no local one of its kind is accepted, or what may replace them is not fewer.
+    """
+    if everywhere.target is not None or len(everywhere.quantities) != 1:
+        return None
+    local = _local_effects(everywhere.effect, state.accepted)
     if not local:
-        return [], []
-    if common not in state.accepted:
-        return local, [common]
-    # It acts everywhere already: the local ones undo it there, so it may hold at the others alone.
+        return None
+    if everywhere in state.accepted:
+        found = _by_local_ones_elsewhere(library, state, everywhere, local, instances)
+    else:
+        found = _by_one_everywhere(library, state, everywhere, local)
+    return found if 0 < len(found.fewer) < len(found.replaced) else None
+
+
+def _by_one_everywhere(
+    library: Library, state: State, everywhere: EffectInstance, local: Sequence[EffectInstance]
+) -> _Replacement:
+    """One effect that acts everywhere in place of local ones: it begins with the mean of these."""
+    first = [_first_magnitude(library, state, instance) for instance in local]
+    return _Replacement(local, [everywhere], float(np.mean(first)))
+
+
+def _by_local_ones_elsewhere(
+    library: Library,
+    state: State,
+    everywhere: EffectInstance,
+    local: Sequence[EffectInstance],
+    instances: Sequence[EffectInstance],
+) -> _Replacement:
+    """Local effects in place of one that acts everywhere and of local ones, which undo it there: so
+    it may hold at the other places alone, as large as everywhere.
+    """
     undone = {instance.target for instance in local}
     elsewhere = []
-    for instance in _local_effects(common.effect, instances):
+    for instance in _local_effects(everywhere.effect, instances):
         if instance.target not in undone and len(instance.quantities) == 1:
             elsewhere.append(instance)
-    return [common, *local], elsewhere
+    magnitude = _first_magnitude(library, state, everywhere)
+    return _Replacement([everywhere, *local], elsewhere, magnitude)
 
 
 def _local_effects(effect: str, instances: Sequence[EffectInstance]) -> list[EffectInstance]:
@@ -271,25 +307,23 @@ def _local_effects(effect: str, instances: Sequence[EffectInstance]) -> list[Eff
     return [one for one in instances if one.effect == effect and one.target is not None]
 
 
-def _merged(
-    selection: Selection,
-    state: State,
-    replaced: Sequence[EffectInstance],
-    fewer: Sequence[EffectInstance],
-) -> State:
+def _first_magnitude(library: Library, state: State, instance: EffectInstance) -> float:
+    """The first of an effect's magnitudes in a model."""
+    return float(state.theta[library.indices_of[instance.label][0]])
+
+
+def _merged(selection: Selection, state: State, replacement: _Replacement) -> State:
     """The model with a few effects in the place of several of their kind, fitted to the end."""
     library = selection.library
+    replaced = replacement.replaced
+    fewer = replacement.fewer
     of_fewer = np.concatenate([library.indices_of[instance.label] for instance in fewer])
-    of_replaced = [library.indices_of[instance.label] for instance in replaced]
-    # They begin with the mean of the first magnitudes, or with that of what acts everywhere.
-    first = [state.theta[indices[0]] for indices in of_replaced]
-    is_common = replaced[0].target is None
+    of_replaced = np.concatenate([library.indices_of[instance.label] for instance in replaced])
     theta = state.theta.copy()
-    theta[of_fewer] = first[0] if is_common else np.mean(first)
-    indices = np.concatenate(of_replaced)
-    theta[indices] = 0.0
+    theta[of_fewer] = replacement.magnitude
+    theta[of_replaced] = 0.0
     train = shift_linearization(library, state.train, theta, state.train.whiten.noise)
-    free = np.append(np.setdiff1d(state.free, indices), of_fewer)
+    free = np.append(np.setdiff1d(state.free, of_replaced), of_fewer)
     kept = tuple(instance for instance in state.accepted if instance not in replaced)
     initial = replace(state, train=train, free=free, accepted=(*kept, *fewer))
     return selection.polish(initial)
@@ -342,10 +376,10 @@ def ambiguity(
     # Alternatives that are hardly worse on windows held out.
     for trial in reviewed.alternatives:
         label = trial.candidate.instance.label
-        deficit, z = gain_of(trial.state.test, state.test)
-        is_close = z < settings.indistinguishable_z or deficit < settings.deficit
+        loss_without_it, z = gain_of(trial.state.test, state.test)
+        is_close = z < settings.indistinguishable_z or loss_without_it < settings.negligible_gain
         if is_close and label not in others:
-            why = f"{deficit:.1f} nats worse on held-out data, {z:.1f} standard errors"
+            why = f"{loss_without_it:.1f} nats worse on held-out data, {z:.1f} standard errors"
             if label in reviewed.similar:
                 why += f"; similarity {reviewed.similar[label]:.3f} beside the rest"
             others[label] = (trial.fitted_candidate, why)

@@ -107,14 +107,19 @@ class Selection:
     # --- the first model
 
     def begin(
-        self, train: Windows, test: Windows, theta: Array, noise: WindowNoise, free: np.ndarray
+        self,
+        windows_to_fit: Windows,
+        windows_held_out: Windows,
+        theta: Array,
+        noise: WindowNoise,
+        free: np.ndarray,
     ) -> State:
-        """Fit the model as it is: its declared parameters and the noise.
+        """Fit the model without effects: its declared parameters and the noise.
 
         Parameters
         ----------
-        train, test : Windows
-            The windows to fit, and those held out.
+        windows_to_fit, windows_held_out : Windows
+            The two sides.
         theta : (m,) array
             The first parameters, without effects.
         noise : WindowNoise
@@ -135,7 +140,8 @@ class Selection:
         settings = self.settings
 
         # Some of the windows are enough for a first estimate of the noise.
-        some = train.take(np.arange(0, len(train), settings.first_noise_stride))
+        every_few = np.arange(0, len(windows_to_fit), settings.first_noise_stride)
+        some = windows_to_fit.take(every_few)
         some_linearized = linearize(library, some, theta, noise)
         diverging = some_linearized.lost.mean()
         if diverging > settings.maximum_diverging:
@@ -148,34 +154,35 @@ class Selection:
         estimated = estimate_noise(some_linearized, some_linearized.whiten.noise, self.floor)
 
         # All windows, with the noise that these have.
-        linearized = linearize(library, train, theta, estimated)
+        linearized = linearize(library, windows_to_fit, theta, estimated)
         linearized = with_noise(library, linearized, self.floor, settings.refit)
 
         # The declared parameters and the noise are fitted in turn, unless that is recorded.
         def fit() -> Sides:
             fitted = self._refit(linearized, free, rounds=2, renewals=1)
-            return fitted, self._linearize_held_out(fitted, test)
+            return fitted, self._linearize_held_out(fitted, windows_held_out)
 
         # A record is known by the numbers that the fit began with.
         key = np.concatenate([theta, estimated.numbers])
-        fitted_train, fitted_test = recorded_sides(self.log, library, key, (train, test), fit)
-        self.latest = State(fitted_train, fitted_test, free)
+        windows = (windows_to_fit, windows_held_out)
+        train, test = recorded_sides(self.log, library, key, windows, fit)
+        self.latest = State(train, test, free)
         return self.latest
 
-    def as_it_is(
+    def without_fitting(
         self,
-        train: Windows,
-        test: Windows,
+        windows_to_fit: Windows,
+        windows_held_out: Windows,
         theta: Array,
         noise: WindowNoise,
         free: np.ndarray,
         accepted: tuple[EffectInstance, ...],
     ) -> State:
-        """Take a model as it is, and estimate the noise.
+        """Take a model whose theta was fitted elsewhere, and estimate the noise alone.
 
         Parameters
         ----------
-        train, test, noise
+        windows_to_fit, windows_held_out, noise
             As of `begin`.
         theta : (m,) array
             The declared parameters and all magnitudes.
@@ -189,16 +196,17 @@ class Selection:
         State
             Where the simulation diverges in too many windows, the noise is the first guess.
         """
-        linearized = linearize(self.library, train, theta, noise)
+        linearized = linearize(self.library, windows_to_fit, theta, noise)
         if linearized.lost.mean() <= self.settings.maximum_diverging:
             linearized = with_noise(self.library, linearized, self.floor, self.settings.refit)
-        return State(linearized, self._linearize_held_out(linearized, test), free, accepted)
+        held_out = self._linearize_held_out(linearized, windows_held_out)
+        return State(linearized, held_out, free, accepted)
 
     # --- one effect after another
 
     def run(
         self,
-        first: State,
+        without_effects: State,
         state: State,
         instances: Sequence[EffectInstance],
         stop: Callable[[State, State | None], bool] | None = None,
@@ -207,8 +215,8 @@ class Selection:
 
         Parameters
         ----------
-        first : State
-            The model as it is.
+        without_effects : State
+            The model that `begin` fitted.
         state : State
             Where the search begins.
         instances : sequence of EffectInstance
@@ -223,14 +231,16 @@ class Selection:
             `state` itself if none was accepted.
         """
         while len(state.accepted) < self.settings.maximum_effects:
-            found = self.step(state, instances, first)
+            found = self.step(state, instances, without_effects)
             if (stop is not None and stop(state, found)) or found is None:
                 break
             state = found
             self.latest = state
         return state
 
-    def step(self, state: State, instances: Sequence[EffectInstance], first: State) -> State | None:
+    def step(
+        self, state: State, instances: Sequence[EffectInstance], without_effects: State
+    ) -> State | None:
         """Accept one more effect.
 
         Parameters
@@ -239,8 +249,8 @@ class Selection:
             The model without it.
         instances : sequence of EffectInstance
             The effects that may be accepted.
-        first : State
-            The model as it is.
+        without_effects : State
+            The model that `begin` fitted.
 
         Returns
         -------
@@ -248,23 +258,22 @@ class Selection:
             None where no effect is confirmed.
         """
         screened, promising = self._screen(state, instances)
-        needed_gain = self._needed_gain(state, first, len(instances))
+        needed_gain = self._needed_gain(state, without_effects, len(instances))
 
         # Refit batch after batch, until windows held out confirm an effect of a batch.
-        with_less_noise: list[Trial] = []
+        unconfirmed: list[Trial] = []
         for candidates in _batches(promising, self.settings.batch_size):
             trials = self.try_candidates(state, candidates)
             self.batches.append(Batch(state, screened, trials))
-            confirmed, unconfirmed = self._confirm(state, trials, needed_gain)
+            confirmed, with_less_noise = self._confirm(state, trials, needed_gain)
             found = self._accept_first(state, confirmed, needed_gain)
             if found is not None:
                 return self._with_partner(found, instances, needed_gain)
-            with_less_noise += unconfirmed
+            unconfirmed += with_less_noise
 
         # None was confirmed as it was tried, linearized under the noise before. Where the noise has
-        # fallen much, linearize anew: one trial at a time, as `_accept_first` asks for them.
-        renewed = (replace(trial, state=self.polish(trial.state)) for trial in with_less_noise)
-        found = self._accept_first(state, renewed, needed_gain)
+        # fallen much, linearize anew.
+        found = self._accept_first(state, self._polished(unconfirmed), needed_gain)
         return None if found is None else self._with_partner(found, instances, needed_gain)
 
     def _screen(
@@ -302,12 +311,17 @@ class Selection:
                 with_less_noise.append(trial)
         return confirmed, with_less_noise
 
-    def _needed_gain(self, state: State, first: State, effects: int) -> float:
+    def _polished(self, trials: Sequence[Trial]) -> Iterator[Trial]:
+        """Trials fitted to the end, each only when `_accept_first` asks for it."""
+        for trial in trials:
+            yield replace(trial, state=self.polish(trial.state))
+
+    def _needed_gain(self, state: State, without_effects: State, effects: int) -> float:
         """The held-out gain [nats] that one more effect needs, of so many that are looked for."""
         needed_gain = self.settings.needed_gain(effects)
         if not state.accepted:
             return max(needed_gain, 0.0)
-        gained = float((state.test.log_likelihood - first.test.log_likelihood).sum())
+        gained = float((state.test.log_likelihood - without_effects.test.log_likelihood).sum())
         return max(needed_gain, self.settings.minimum_fraction * gained)
 
     def _accept_first(
@@ -319,7 +333,8 @@ class Selection:
                 continue
             polished = self.polish(trial.state)
             if is_confirmed(state.test, polished.test, needed_gain, self.settings):
-                self.origins[trial.candidate.instance.label] = self._origin(trial.candidate)
+                origin = self._last_batch_with(trial.candidate)
+                self.origins[trial.candidate.instance.label] = origin
                 return polished
         return None
 
@@ -346,7 +361,7 @@ class Selection:
         both = self.polish(both)
         if not is_confirmed(state.test, both.test, needed_gain, self.settings):
             return state
-        self.note_origin(partner)
+        self.set_origin_to_first_batch(partner)
         return both
 
     def try_set(
@@ -396,21 +411,21 @@ class Selection:
         kept = tuple(instance for instance in state.accepted if instance not in removed)
         return State(train, test, free, (*kept, *added))
 
-    def note_origin(self, instance: EffectInstance) -> None:
-        """Note the first batch in which an effect was tried as the one that it was accepted from.
+    def set_origin_to_first_batch(self, instance: EffectInstance) -> None:
+        """Take the first batch in which an effect was tried as the one that it was accepted from.
 
         Parameters
         ----------
         instance : EffectInstance
-            An accepted effect; of one that no batch has tried nothing is noted.
+            An accepted effect; one that no batch has tried has no origin.
         """
         for batch in self.batches:
             if any(trial.candidate.instance.label == instance.label for trial in batch.trials):
                 self.origins[instance.label] = batch
                 return
 
-    def _origin(self, candidate: Candidate) -> Batch:
-        """The last batch with the candidate."""
+    def _last_batch_with(self, candidate: Candidate) -> Batch:
+        """The last batch in which a candidate was refitted."""
         for batch in reversed(self.batches):
             if any(trial.candidate is candidate for trial in batch.trials):
                 return batch

@@ -224,23 +224,22 @@ class SetSearch:
         if best is not last:
             for instance in best.accepted:
                 if instance not in last.accepted:
-                    self.selection.note_origin(instance)
+                    self.selection.set_origin_to_first_batch(instance)
         return best
 
     def _first_better(self, best: State, tried: Sequence[State]) -> State | None:
         """The first of some models that is better than the best, for certain, fitted to the end."""
         selection = self.selection
-        deficit = selection.settings.deficit
-        before = penalized_log_likelihood(best)
+        needed = penalized_log_likelihood(best) + selection.settings.negligible_gain
         for trial in tried:
-            if not penalized_log_likelihood(trial) > before + deficit:
+            if not penalized_log_likelihood(trial) > needed:
                 return None
             new = [one for one in trial.accepted if one not in best.accepted]
             if any(self._only_by_feedback(trial, one) for one in new):
                 continue
             polished = selection.polish(trial)
-            gained = penalized_log_likelihood(polished) > before + deficit
-            if gained and self._confirmed(best, polished):
+            is_better = penalized_log_likelihood(polished) > needed
+            if is_better and self._confirmed(best, polished):
                 return polished
         return None
 
@@ -253,7 +252,7 @@ class SetSearch:
         selection = self.selection
         settings = selection.settings
         more = len(other.accepted) - len(best.accepted)
-        needed = settings.deficit
+        needed = settings.negligible_gain
         if more > 0:
             gained, _ = gain_of(self.first.test, best.test)
             needed = more * settings.needed_gain(len(self.instances))
@@ -261,7 +260,7 @@ class SetSearch:
         elif more < 0:
             # Fewer effects need not be better on data held out: they must not be worse.
             loss, _ = gain_of(other.test, best.test)
-            return loss < settings.deficit
+            return loss < settings.negligible_gain
         return is_confirmed(best.test, other.test, needed, settings)
 
     def _only_by_feedback(self, state: State, instance: EffectInstance) -> bool:

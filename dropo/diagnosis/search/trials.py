@@ -145,8 +145,8 @@ def most_plausible_first(
     best = trials[0]
     as_good = []
     for trial in trials:
-        deficit, _ = gain_of(trial.state.test, best.state.test)
-        if deficit < settings.deficit:
+        loss, _ = gain_of(trial.state.test, best.state.test)
+        if loss < settings.negligible_gain:
             as_good.append(trial)
     simplest = min(as_good, key=lambda trial: len(trial.magnitudes))
 
