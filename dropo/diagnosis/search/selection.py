@@ -216,7 +216,7 @@ class Selection:
         Parameters
         ----------
         without_effects : State
-            The model that `begin` fitted.
+            The model without any effect.
         state : State
             Where the search begins.
         instances : sequence of EffectInstance
@@ -250,7 +250,7 @@ class Selection:
         instances : sequence of EffectInstance
             The effects that may be accepted.
         without_effects : State
-            The model that `begin` fitted.
+            The model without any effect.
 
         Returns
         -------
