@@ -1,7 +1,7 @@
 """The banded smoother is the Kalman smoother, and its likelihood is the Kalman filter's."""
 
 import importlib.util
-from dataclasses import replace
+from dataclasses import astuple, replace
 from pathlib import Path
 
 import numpy as np
@@ -52,8 +52,8 @@ def test_the_likelihood_is_the_kalman_filters():
     one = motion(3)
 
     def by_bands(q):
-        squares, determinant, degrees = one.fit(ratio(one, q))
-        return -0.5 * (squares / R + degrees * np.log(R) + determinant)
+        terms = one.likelihood_terms(ratio(one, q))
+        return -0.5 * (terms.squares / R + terms.degrees * np.log(R) + terms.log_determinant)
 
     wanted = [reference.smooth(one.time, one.measured, 3, q, R)[2] for q in (Q, 20 * Q)]
     assert by_bands(20 * Q) - by_bands(Q) == pytest.approx(wanted[1] - wanted[0], abs=1e-4)
@@ -73,7 +73,7 @@ def test_a_motion_that_begins_anew_is_two_motions():
         np.concatenate([p.smoothed(1e-3, p.measured[:, None]) for p in pieces]),
         rtol=1e-8,
     )
-    np.testing.assert_allclose(
-        split.fit(1e-3), np.sum([piece.fit(1e-3) for piece in pieces], axis=0), rtol=1e-8
-    )
-    assert split.fit(1e-3)[0] < one.fit(1e-3)[0]
+    terms = split.likelihood_terms(1e-3)
+    together = pieces[0].likelihood_terms(1e-3) + pieces[1].likelihood_terms(1e-3)
+    np.testing.assert_allclose(astuple(terms), astuple(together), rtol=1e-8)
+    assert terms.squares < one.likelihood_terms(1e-3).squares

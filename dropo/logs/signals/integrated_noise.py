@@ -49,6 +49,37 @@ def transition(order: int) -> tuple[Array, Array]:
     return a, q
 
 
+@dataclass(frozen=True)
+class LikelihoodTerms:
+    """What the likelihood of measured positions is made of.
+
+    Under a variance r of the measurements, minus twice its logarithm is squares / r + degrees log r
+    + log_determinant, up to a constant.
+
+    Attributes
+    ----------
+    squares : float
+        Squared residuals of the most likely motion, plus the squares of the noise that drives it
+        in units of q / r; in the position's unit squared.
+    log_determinant : float
+        Of the states' precision, in units of 1 / r, and of the covariance of what drives them.
+    degrees : int
+        Degrees of freedom: measurements less the numbers of the states at which the motion begins.
+    """
+
+    squares: float
+    log_determinant: float
+    degrees: int
+
+    def __add__(self, other: "LikelihoodTerms") -> "LikelihoodTerms":
+        """Those of two independent motions together."""
+        return LikelihoodTerms(
+            self.squares + other.squares,
+            self.log_determinant + other.log_determinant,
+            self.degrees + other.degrees,
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class IntegratedNoise:
     """One measured position.
@@ -136,11 +167,8 @@ class IntegratedNoise:
         found = cho_solve_banded((factor, True), flat, check_finite=False)
         return np.asarray(found).reshape(right.shape)
 
-    def fit(self, ratio: float) -> tuple[float, float, float]:
-        """Return the parts of the log likelihood.
-
-        Minus twice the log likelihood is squares / r + degrees log r + determinant, up to a
-        constant.
+    def likelihood_terms(self, ratio: float) -> LikelihoodTerms:
+        """Return what the likelihood is made of.
 
         Parameters
         ----------
@@ -149,11 +177,7 @@ class IntegratedNoise:
 
         Returns
         -------
-        squares : float
-        determinant : float
-            Its logarithm.
-        degrees : float
-            Of freedom.
+        LikelihoodTerms
         """
         factor = self._factor(ratio)
         states = self._states(factor, self.measured[:, None])[:, :, 0]
@@ -162,10 +186,10 @@ class IntegratedNoise:
         squares += np.einsum("ni,nij,nj->", noise, self._precisions, noise) / ratio
         no_jump = np.ones(len(self.time) - 1, dtype=bool)
         no_jump[self.jumps - 1] = False
-        determinant = 2 * np.log(factor[0]).sum() + 2 * np.log(self.scale[no_jump]).sum()
-        determinant += no_jump.sum() * np.linalg.slogdet(ratio * transition(self.order)[1])[1]
+        log_determinant = 2 * np.log(factor[0]).sum() + 2 * np.log(self.scale[no_jump]).sum()
+        log_determinant += no_jump.sum() * np.linalg.slogdet(ratio * transition(self.order)[1])[1]
         degrees = len(self.time) - self.order * (1 + len(self.jumps))
-        return float(squares), float(determinant), degrees
+        return LikelihoodTerms(float(squares), float(log_determinant), degrees)
 
     def _noise(self, states: Array) -> Array:
         """(n - 1, m) what was added in each step, in the units of a step of length 1."""

@@ -7,6 +7,8 @@ bandwidth of largest likelihood, and `_find_jumps` the rows at which the velocit
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import reduce
+from operator import add
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,7 +17,11 @@ from scipy.optimize import minimize_scalar
 from dropo.core.numerics.robust_statistics import deviation
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array, float_array, require
-from dropo.logs.signals.integrated_noise import IntegratedNoise, filter_motions
+from dropo.logs.signals.integrated_noise import (
+    IntegratedNoise,
+    LikelihoodTerms,
+    filter_motions,
+)
 
 ORDER = 3
 """Numbers in a state: position, velocity and acceleration, which is a random walk.
@@ -50,6 +56,10 @@ class VelocitySettings:
         Multiple of the scores around it that a jump's score must be.
     jump_sharpness : float
         Multiple of the velocity's score that the acceleration's score must be below at a jump.
+    jump_width : float
+        Steps either side in which a jump shows, in units of the smoother's (q / r)^(-1 / 6).
+    jump_reach : int
+        The surroundings of a jump reach so many of these widths either side.
     jump_rounds : int
         Number of fits at most; between one and the next, jumps are searched for.
     probes : int
@@ -66,6 +76,8 @@ class VelocitySettings:
     jump_score: float = 8.0
     jump_contrast: float = 6.5
     jump_sharpness: float = 1.95
+    jump_width: float = 3.0
+    jump_reach: int = 10
     jump_rounds: int = 5
     probes: int = 8
 
@@ -161,7 +173,7 @@ def estimate_velocities(
     columns = []
     for measured, level in zip(rows.T, levels, strict=True):
         columns.append(_fit_column(stamps, measured, level, settings))
-    smoothed = [_smooth(column, settings) for column in columns]
+    smoothed = [_estimate_column(column, settings) for column in columns]
     estimates = np.stack([states for states, _ in smoothed], axis=2)  # (n, 2, p)
     errors = np.stack([deviations for _, deviations in smoothed], axis=1)  # (2, p)
     if causal:
@@ -244,11 +256,12 @@ def _fit_column(
     return column
 
 
-def _smooth(column: _Column, settings: VelocitySettings) -> tuple[Array, Array]:
+def _estimate_column(column: _Column, settings: VelocitySettings) -> tuple[Array, Array]:
     """Position and velocity (n, 2), and the standard deviations (2,) of their errors.
 
-    The errors are noise that passes the smoother, and motion that it takes off: what it takes off
-    its own result stands for what it took off the truth. What stands still has velocity 0.
+    An error has a variance and a bias. The variance is that of the measurements times the gain of
+    the smoother. The bias is motion that the smoother takes off: what it takes off its own result
+    stands for what it took off the truth. What stands still has velocity 0.
     """
     motion = column.motion
     measured = motion.measured
@@ -260,9 +273,9 @@ def _smooth(column: _Column, settings: VelocitySettings) -> tuple[Array, Array]:
     # Smooth its own positions again, and noise of unit variance beside them.
     inputs = np.concatenate([states[:, :1], signs], axis=1)
     outputs = motion.smoothed(column.ratio, inputs)[:, :2]
-    lost_motion = np.mean((outputs[:, :, 0] - states)[ORDER:-ORDER] ** 2, axis=0)
-    passed_noise = np.mean(outputs[:, :, 1:] ** 2, axis=(0, 2))
-    return states, np.sqrt(column.noise**2 * passed_noise + lost_motion)
+    squared_bias = np.mean((outputs[:, :, 0] - states)[ORDER:-ORDER] ** 2, axis=0)
+    variance_gain = np.mean(outputs[:, :, 1:] ** 2, axis=(0, 2))
+    return states, np.sqrt(column.noise**2 * variance_gain + squared_bias)
 
 
 # Noise level and bandwidth
@@ -271,29 +284,41 @@ def _smooth(column: _Column, settings: VelocitySettings) -> tuple[Array, Array]:
 def _fit_noise(
     motion: IntegratedNoise, noise: float | None, minimum: float, settings: VelocitySettings
 ) -> _Column:
-    """The column with the noise level, if it is not known, and the ratio of largest likelihood."""
+    """The column with the noise level, if it is not known, and the ratio of largest likelihood.
+
+    What is minimised is -2 log L, up to a constant.
+    """
     blocks = _blocks(motion, settings)
-
-    def fit(ratio: float) -> Array:
-        return np.sum([block.fit(ratio) for block in blocks], axis=0)
-
-    def cost_of_free_noise(log_ratio: float) -> float:
-        squares, determinant, degrees = fit(float(np.exp(log_ratio)))
-        return float(degrees * np.log(squares / degrees) + determinant)
-
     if noise is None:
-        ratio = _minimize(cost_of_free_noise, settings)
-        squares, _, degrees = fit(ratio)
-        most_likely = float(np.sqrt(squares / degrees))
+        ratio = _most_likely_ratio(blocks, _cost_of_free_noise, settings)
+        terms = _likelihood_terms(blocks, ratio)
+        most_likely = float(np.sqrt(terms.squares / terms.degrees))
         if most_likely >= minimum:
             return _Column(motion, most_likely, ratio)
     level = minimum if noise is None else noise
 
-    def cost_of_known_noise(log_ratio: float) -> float:
-        squares, determinant, degrees = fit(float(np.exp(log_ratio)))
-        return float(squares / level**2 + degrees * np.log(level**2) + determinant)
+    def cost_of_level(terms: LikelihoodTerms) -> float:
+        return _cost_of_known_noise(terms, level)
 
-    return _Column(motion, level, _minimize(cost_of_known_noise, settings))
+    return _Column(motion, level, _most_likely_ratio(blocks, cost_of_level, settings))
+
+
+def _cost_of_free_noise(terms: LikelihoodTerms) -> float:
+    """-2 log L at the variance of the noise that is most likely, squares / degrees."""
+    return float(terms.degrees * np.log(terms.squares / terms.degrees) + terms.log_determinant)
+
+
+def _cost_of_known_noise(terms: LikelihoodTerms, level: float) -> float:
+    """-2 log L at a standard deviation of the noise."""
+    variance = level**2
+    return float(
+        terms.squares / variance + terms.degrees * np.log(variance) + terms.log_determinant
+    )
+
+
+def _likelihood_terms(blocks: list[IntegratedNoise], ratio: float) -> LikelihoodTerms:
+    """The terms of all blocks together."""
+    return reduce(add, [block.likelihood_terms(ratio) for block in blocks])
 
 
 def _blocks(motion: IntegratedNoise, settings: VelocitySettings) -> list[IntegratedNoise]:
@@ -312,21 +337,25 @@ def _piece(motion: IntegratedNoise, rows: slice) -> IntegratedNoise:
     return replace(motion, time=motion.time[rows], measured=motion.measured[rows], jumps=inside)
 
 
-def _minimize(cost: Callable[[float], float], settings: VelocitySettings) -> float:
-    """The ratio where a function of its logarithm is smallest: a grid, then Brent's method."""
+def _most_likely_ratio(
+    blocks: list[IntegratedNoise],
+    cost: Callable[[LikelihoodTerms], float],
+    settings: VelocitySettings,
+) -> float:
+    """The ratio q / r of the lowest cost: by a grid of its logarithm, then by Brent's method."""
 
-    def guarded(x: float) -> float:
+    def cost_at(log_ratio: float) -> float:
         try:
-            return cost(x)
+            return cost(_likelihood_terms(blocks, float(np.exp(log_ratio))))
         except np.linalg.LinAlgError:  # so stiff that rounding wins
             return np.inf
 
     step = settings.grid_step
     grid = np.arange(settings.lowest, settings.highest + step / 2, step)
-    best = grid[int(np.argmin([guarded(float(x)) for x in grid]))]
+    best = grid[int(np.argmin([cost_at(float(x)) for x in grid]))]
     bounds = (max(settings.lowest, best - step), min(settings.highest, best + step))
     found = minimize_scalar(
-        guarded, bounds=bounds, method="bounded", options={"xatol": settings.tolerance}
+        cost_at, bounds=bounds, method="bounded", options={"xatol": settings.tolerance}
     )
     return float(np.exp(found.x))
 
@@ -337,48 +366,57 @@ def _minimize(cost: Callable[[float], float], settings: VelocitySettings) -> flo
 def _find_jumps(column: _Column, settings: VelocitySettings) -> Ints:
     """Rows before which the velocity jumps.
 
-    Such steps stand out from all and from their surroundings, more than the acceleration does: a
-    jump of the acceleration, as under a switched command, shows first in the acceleration's own
-    scores.
+    Such a step has a score of the velocity
+
+    1. that stands out from those of all steps (`jump_score`),
+    2. that stands out from those of its surroundings (`jump_contrast`), and
+    3. beside which the acceleration's score is not much larger (`jump_sharpness`): a jump of the
+       acceleration, as under a switched command, shows first in the acceleration's own scores.
     """
-    scores = np.abs(column.motion.scores(column.ratio))
+    scores = np.abs(column.motion.scores(column.ratio))  # (n - 1, ORDER), the position's first
     scores[column.motion.jumps - 1] = 0.0
     usual = deviation(scores[:, 1:])
     if not np.all(usual > 0):  # nothing moves
         return NO_JUMPS
-    scores = scores[:, 1:] / usual  # (n - 1, 2) of velocity and acceleration
-    velocity = scores[:, 0]
-    acceleration = scores[:, 1]
-    width = max(2 * ORDER, int(3 * column.ratio ** (-0.5 / ORDER)))  # steps of the smoother
+    velocity, acceleration = (scores[:, 1:] / usual).T  # a state has these two, as ORDER is 3
+    # The smoother's width, in steps: a jump shows in the scores of so many steps either side.
+    width = max(2 * ORDER, int(settings.jump_width * column.ratio ** (-0.5 / ORDER)))
+    reach = settings.jump_reach * width
     # A step near an end, a known jump or a larger score is not looked at.
     taken = [0, *(column.motion.jumps - 1).tolist(), len(scores)]
     found: list[int] = []
+    # Of more steps than one in each width, most would be near another.
+    most = len(scores) // width
     largest_first = np.argsort(-velocity).tolist()
-    for k in largest_first[: len(scores) // width]:
+    for k in largest_first[:most]:
         if velocity[k] <= settings.jump_score:
             break
         if min(abs(k - other) for other in taken) <= width:
             continue
         taken.append(k)
-        before = velocity[max(0, k - 10 * width) : k - width + 1]
-        after = velocity[k + width : k + 10 * width]
+        before = velocity[max(0, k - reach) : k - width + 1]
+        after = velocity[k + width : k + reach]
         around = np.concatenate([before, after])
         stands_out = velocity[k] > settings.jump_contrast * np.sqrt(np.mean(around**2))
         largest_acceleration = acceleration[k - width : k + width].max()
         if stands_out and largest_acceleration < settings.jump_sharpness * velocity[k]:
             found.append(k)
-    rows = sorted(_place_jump(column, k + 1, width) for k in found)
+    rows = sorted(_place_jump(column, k + 1, reach) for k in found)
     return np.array(rows, dtype=np.int64)
 
 
-def _place_jump(column: _Column, row: int, width: int) -> int:
-    """The row, of those beside, at which the motion begins anew with the largest likelihood."""
-    first = max(0, row - 10 * width)
-    piece = replace(_piece(column.motion, slice(first, row + 10 * width)), jumps=NO_JUMPS)
+def _place_jump(column: _Column, row: int, reach: int) -> int:
+    """The row, of those beside, at which the motion begins anew with the largest likelihood.
+
+    Only so many rows either side are looked at (reach). Terms of -2 log L that all have are left
+    out.
+    """
+    first = max(0, row - reach)
+    piece = replace(_piece(column.motion, slice(first, row + reach)), jumps=NO_JUMPS)
     options = [row, row - 1, row + 1, row - 2, row + 2]
     costs = []
     for option in options:
         with_jump = replace(piece, jumps=np.array([option - first]))
-        squares, determinant, _ = with_jump.fit(column.ratio)
-        costs.append(squares / column.noise**2 + determinant)
+        terms = with_jump.likelihood_terms(column.ratio)
+        costs.append(terms.squares / column.noise**2 + terms.log_determinant)
     return options[int(np.argmin(costs))]
