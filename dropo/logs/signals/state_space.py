@@ -71,11 +71,10 @@ DEFAULTS = SmootherSettings()
 SMALLEST_SPREAD = 1e-9  # stands for the standard deviation of a signal that does not vary
 
 
-# Every trajectory has one state more than transitions: below, M is the number of all states, N the
-# number of transitions, and `states` (M, p) holds trajectory after trajectory. Ahead of the state
-# from which transition k starts, in trajectory i, there are the k starts of the transitions before
-# and the i last states of the trajectories before: so it is states[k + i], and the state after the
-# transition is in the next row.
+# Every trajectory has one state more than transitions. Below, M is the number of all states, N the
+# number of transitions, and `states` (M, p) holds all states of the first trajectory, then all of
+# the second, and so on: of two trajectories of 3 transitions each, transitions 0, 1, 2 begin at
+# rows 0, 1, 2 and end at rows 1, 2, 3; transitions 3, 4, 5 begin at rows 4, 5, 6.
 
 
 def state_row_before(trajectories: Trajectories) -> NDArray[np.int64]:
@@ -416,11 +415,16 @@ def learn_noise(model: StateSpaceModel, known_noise: Array | None) -> tuple[Arra
     settings = model.settings
     measured = _measured_states(model.trajectories)
     signal_variance = np.maximum(measured.var(axis=0), SMALLEST_SPREAD**2)
-    minimum_noise = settings.minimum_noise * signal_variance
-    minimum_process = np.diag(settings.minimum_process * signal_variance)
     # The process noise acts on some columns alone; their covariances with the others are 0.
     forced = _forced_columns(model.simulator.signals)
-    both_forced = np.outer(forced, forced)
+    learning = _NoiseLearning(
+        model,
+        measured,
+        learns_noise=known_noise is None,
+        minimum_noise=settings.minimum_noise * signal_variance,
+        minimum_process=np.diag(settings.minimum_process * signal_variance),
+        both_forced=np.outer(forced, forced),
+    )
 
     # First guesses.
     if known_noise is None:
@@ -428,30 +432,83 @@ def learn_noise(model: StateSpaceModel, known_noise: Array | None) -> tuple[Arra
     else:
         noise = known_noise
     first_process = np.where(forced, settings.initial_variance, 0) * signal_variance
-    process = np.diag(first_process) + minimum_process
+    process = np.diag(first_process) + learning.minimum_process
     states = measured
 
-    factors = settings.process_factors
     for _ in range(settings.learning_rounds):
         linear = model.linearize(states, noise)
-        # Expectation-maximization: the noises become the expected squares of what they stand for.
         for _ in range(settings.em_steps):
-            smoothed = _smooth(model, linear, noise, process)
-            missed = _expected_process(model.trajectories, linear, smoothed)
-            process = np.where(both_forced, missed, 0.0) + minimum_process
-            if known_noise is None:
-                squared_errors = _expected_noise(measured, smoothed)
-                learned = np.maximum(squared_errors, minimum_noise)
-                noise = np.where(model.measured, learned, noise)
-        # A line search along the process noise; the next round is linearized where that led.
-        by_factor = [_smooth(model, linear, noise, factor * process) for factor in factors]
-        log_likelihoods = np.array([smoothed.filtered.log_likelihood for smoothed in by_factor])
-        best = int(np.argmax(log_likelihoods))
-        states = by_factor[best].states
-        process = factors[best] * process
+            noise, process = learning.em_step(linear, noise, process)
+        # The next round is linearized where the best factor on the process noise led.
+        scan = _scan_factors(model, linear, noise, process)
+        states = scan.states
+        process = scan.best * process
+    return noise, process * scan.largest_likely / scan.best
 
-    largest = _largest_likely(log_likelihoods, settings.likelihood_tolerance)
-    return noise, process * factors[largest] / factors[best]
+
+@dataclass(frozen=True, eq=False)
+class _NoiseLearning:
+    """What stays as it is while the noises are learned.
+
+    Attributes
+    ----------
+    model : StateSpaceModel
+    measured : (M, p) array
+        Every state as measured.
+    learns_noise : bool
+        Whether the noise of the measurements is learned too.
+    minimum_noise : (p,) array
+        Lower bound of the measurements' variances.
+    minimum_process : (p, p) array
+        Added to the process noise that is learned.
+    both_forced : (p, p) bool array
+        Where the process noise may be other than 0.
+    """
+
+    model: StateSpaceModel
+    measured: Array
+    learns_noise: bool
+    minimum_noise: Array
+    minimum_process: Array
+    both_forced: NDArray[np.bool_]
+
+    def em_step(
+        self, linear: _LinearizedTransitions, noise: Array, process: Array
+    ) -> tuple[Array, Array]:
+        """A step of expectation-maximization: the variances (p,) of the measurements and the process
+        noise (p, p) become the expected squares of what they stand for.
+        """
+        smoothed = _smooth(self.model, linear, noise, process)
+        missed = _expected_process(self.model.trajectories, linear, smoothed)
+        process = np.where(self.both_forced, missed, 0.0) + self.minimum_process
+        if self.learns_noise:
+            squared_errors = _expected_noise(self.measured, smoothed)
+            learned = np.maximum(squared_errors, self.minimum_noise)
+            noise = np.where(self.model.measured, learned, noise)
+        return noise, process
+
+
+@dataclass(frozen=True, eq=False)
+class _FactorScan:
+    """The most likely factor on the process noise, the largest that is nearly as likely, and the
+    states (M, p) under the best.
+    """
+
+    best: float
+    largest_likely: float
+    states: Array
+
+
+def _scan_factors(
+    model: StateSpaceModel, linear: _LinearizedTransitions, noise: Array, process: Array
+) -> _FactorScan:
+    """A line search along the process noise, by the factors of the settings."""
+    factors = model.settings.process_factors
+    by_factor = [_smooth(model, linear, noise, factor * process) for factor in factors]
+    log_likelihoods = np.array([smoothed.filtered.log_likelihood for smoothed in by_factor])
+    best = int(np.argmax(log_likelihoods))
+    largest = _largest_likely(log_likelihoods, model.settings.likelihood_tolerance)
+    return _FactorScan(factors[best], factors[largest], by_factor[best].states)
 
 
 def _largest_likely(log_likelihoods: Array, tolerance: float) -> int:
