@@ -42,7 +42,7 @@ from dropo.estimators.support.first_mean.global_search import (
     is_wide,
     may_have_several,
 )
-from dropo.estimators.support.first_mean.search import search_from
+from dropo.estimators.support.first_mean.search import Search, Searched, search_from
 from dropo.estimators.support.physics_step import checked_by_shorter_steps
 from dropo.estimators.support.point_estimate import estimate
 from dropo.estimators.support.rough_starts import (
@@ -279,7 +279,10 @@ class DROPO(Estimator):
         return self._fit_with_noise(problem, run, noise, seeds)
 
     def _fit_with_noise(self, problem: Problem, run: Run, noise: Noise, seeds: Ints) -> Fit:
-        """One fit; seeds (3,): of the likelihood, of the optimizer, of a random start."""
+        """One fit, of whole runs or of segments, by the likelihood that the settings name.
+
+        seeds (3,): of the likelihood, of the optimizer, of a random start.
+        """
         likelihood_rng = np.random.default_rng(int(seeds[0]))
         optimizer_rng = np.random.default_rng(int(seeds[1]))
         start_rng = np.random.default_rng(int(seeds[2]))
@@ -288,28 +291,28 @@ class DROPO(Estimator):
         likelihood = self._make_likelihood()
         mean = self._first_mean(problem, run, start_rng)
 
-        # Whole runs, where they are asked for, or where part of the state was not measured.
+        # A likelihood of whole runs was asked for.
         if isinstance(likelihood, RunLikelihood):
             mean = prior.within.clip(mean)
-            return self._fit_runs(problem, run, family, likelihood, noise, mean, reason="")
-        reason = reason_to_follow(problem) if self._may_follow_runs(problem) else ""
-        if reason:
-            first = mean
-            if problem.whole_runs:  # its segments show roughly where to begin
-                first = best_start(problem, run, mean, self.search.rough.points).value
-            first = prior.within.clip(first)
-            fit, problem = self._try_runs(problem, run, family, noise, first, reason)
-            if fit is not None:
-                return fit
+            return self._fit_runs(problem, run, family, likelihood, noise, mean, reason=None)
 
-        # Else segments, by a local likelihood. In a wide box, or where a motion may repeat, begin
-        # near the best of several optima; single steps from estimated states would mislead there.
+        # It is chosen, as where part of the state was not measured.
+        reason = reason_to_follow(problem) if self._may_follow_runs(problem) else None
+        if reason is not None:
+            first = self._first_mean_of_runs(problem, run, mean)
+            try:
+                return self._follow_runs(problem, run, family, noise, first, reason)
+            except SimulationFailed as error:
+                problem = _without_runs(problem, error)
+
+        # Segments are fitted by a local likelihood. Single steps from states that were only
+        # estimated would mislead a search of the whole box.
         if isinstance(likelihood, LocalLikelihood):
-            elsewhere: GlobalStart | None = None
-            misleading = bool(reason) and problem.horizon == 1
-            several = is_wide(problem.space) or may_have_several(problem)
-            if several and not misleading:
-                elsewhere = best_start(problem, run, mean, search_settings(problem, self.search)[1])
+            elsewhere = None
+            misleading = reason is not None and problem.horizon == 1
+            if not misleading:
+                elsewhere = self._best_of_box(problem, run, mean)
+            if elsewhere is not None:
                 mean = elsewhere.value
                 problem = replace(problem, warnings=(*problem.warnings, *elsewhere.warnings))
             mean = prior.within.clip(mean)
@@ -317,7 +320,7 @@ class DROPO(Estimator):
                 problem, run, family, likelihood, noise, mean, likelihood_rng, elsewhere
             )
 
-        # Or by a sampled one.
+        # Segments are fitted by a sampled likelihood.
         mean = prior.within.clip(mean)
         if self.starts == "filtered":
             raise Incompatible(
@@ -328,6 +331,22 @@ class DROPO(Estimator):
             problem.simulator, problem.segments, family, noise, likelihood_rng
         )
         return self._fit_sampled(problem, run, family, objective, mean, optimizer_rng)
+
+    def _first_mean_of_runs(self, problem: Problem, run: Run, mean: Array) -> Array:
+        """The mean (d,) from which whole runs are followed: where these were asked for, their
+        segments show roughly where to begin.
+        """
+        if problem.whole_runs:
+            mean = best_start(problem, run, mean, self.search.rough.points).value
+        return MeanPrior(problem.priors, problem.space).within.clip(mean)
+
+    def _best_of_box(self, problem: Problem, run: Run, mean: Array) -> GlobalStart | None:
+        """Where a local search begins in a wide box, or where a motion may repeat: near the best of
+        several optima. None in other problems.
+        """
+        if not (is_wide(problem.space) or may_have_several(problem)):
+            return None
+        return best_start(problem, run, mean, search_settings(problem, self.search)[1])
 
     # --- the fit of segments
 
@@ -367,10 +386,51 @@ class DROPO(Estimator):
         elsewhere: GlobalStart | None,
     ) -> Fit:
         """The fit by a local likelihood, which is built again wherever its maximum is found."""
+        search = self._local_search(problem, run, family, likelihood, rng)
+        points = search_settings(problem, self.search)[1]
+        searched = search_from(problem, run, family, noise, mean, elsewhere, search, points)
+        searched = _with_smoothing_noted(searched)
+
+        # Where its residuals say that starts are noisy, go on with starts that are found.
+        if self._has_noisy_starts(searched, run, family):
+            found_mean = searched.mean(family)
+            try:
+                return self._follow_runs(
+                    searched.problem, run, family, searched.noise, found_mean, NOISY
+                )
+            except SimulationFailed as error:
+                searched = replace(searched, problem=_without_runs(searched.problem, error))
+
+        # Where residuals have long tails, so has the noise.
+        searched = self._with_tails(searched, family, search)
+        problem = searched.problem
+        objective = searched.objective
+        found = searched.found
+
+        # Filter the start states at the estimate, and fit from there.
+        start_filter: StartFilter | None = None
+        if self.starts == "filtered":
+            problem, objective, found, start_filter = fit_from_filtered_starts(
+                search, problem, run, family, searched.noise, objective, found
+            )
+
+        return self._fit_at_maximum(
+            problem, run, family, objective, found, start_filter=start_filter, rng=rng
+        )
+
+    def _local_search(
+        self,
+        problem: Problem,
+        run: Run,
+        family: Family,
+        likelihood: LocalLikelihood,
+        rng: np.random.Generator,
+    ) -> Search:
+        """The search by outer iterations, in regions as the problem asks for."""
         make_optimizer = None
         if self.optimizer:
             make_optimizer = self._local_optimizer(self.optimizer, rng)
-        regions, points = search_settings(problem, self.search)
+        regions, _ = search_settings(problem, self.search)
 
         def search(
             problem: Problem, noise: Noise, mean: Array, width: Array | None = None
@@ -380,40 +440,19 @@ class DROPO(Estimator):
             )
             return iterations.fit(mean, width)
 
-        searched = search_from(problem, run, family, noise, mean, elsewhere, search, points)
+        return search
+
+    def _has_noisy_starts(self, searched: Searched, run: Run, family: Family) -> bool:
+        """Whether residuals of single steps say that these begin with noisy measurements, and whole
+        runs may be followed instead.
+        """
         problem = searched.problem
-        noise = searched.noise
-        objective = searched.objective
         found = searched.found
-        if problem.start_noise and not noise.start and starts_are_rough(problem):
-            found = replace(found, reason=f"{found.reason} {SMOOTHED}")
-
-        # Where its residuals say that starts are noisy, go on with starts that are found.
         interrupted = found.status is Status.INTERRUPTED
-        if problem.horizon == 1 and self._may_follow_runs(problem) and not interrupted:
-            found_mean = family.mean(found.point[: len(family.unknowns)])
-            if starts_are_noisy(problem, run, found_mean, objective.mean(found.point)):
-                fit, problem = self._try_runs(problem, run, family, noise, found_mean, NOISY)
-                if fit is not None:
-                    return fit
-
-        # Where residuals have long tails, so has the noise.
-        degrees = self._tails(problem, noise, family, objective, found)
-        if degrees is not None:
-            noise = replace(noise, degrees=degrees)
-            objective, found = search(problem, noise, searched.mean(family), searched.width)
-            found = replace(found, reason=f"{found.reason} {LONG_TAILS.format(degrees)}")
-
-        # Filter the start states at the estimate, and fit from there.
-        start_filter: StartFilter | None = None
-        if self.starts == "filtered":
-            problem, objective, found, start_filter = fit_from_filtered_starts(
-                search, problem, run, family, noise, objective, found
-            )
-
-        return self._fit_at_maximum(
-            problem, run, family, objective, found, start_filter=start_filter, rng=rng
-        )
+        if interrupted or problem.horizon != 1 or not self._may_follow_runs(problem):
+            return False
+        prediction = searched.objective.mean(found.point)
+        return starts_are_noisy(problem, run, searched.mean(family), prediction)
 
     def _fit_at_maximum(
         self,
@@ -484,19 +523,26 @@ class DROPO(Estimator):
 
         return make
 
-    def _tails(
-        self,
-        problem: Problem,
-        noise: Noise,
-        family: Family,
-        objective: LocalLogLikelihood,
-        found: SearchResult,
-    ) -> float | None:
+    def _with_tails(self, searched: Searched, family: Family, search: Search) -> Searched:
+        """The maximum under noise of long tails, where residuals ask for such; else as it is."""
+        degrees = self._tail_degrees(searched, family)
+        if degrees is None:
+            return searched
+        noise = replace(searched.noise, degrees=degrees)
+        mean = searched.mean(family)
+        objective, found = search(searched.problem, noise, mean, searched.width)
+        found = replace(found, reason=f"{found.reason} {LONG_TAILS.format(degrees)}")
+        return replace(searched, noise=noise, objective=objective, found=found)
+
+    def _tail_degrees(self, searched: Searched, family: Family) -> float | None:
         """The degrees of freedom that the residuals of a Gaussian fit ask for, if they may."""
+        problem = searched.problem
+        noise = searched.noise
+        found = searched.found
         learned = self.noise == AUTOMATIC and noise.learned == "each" and noise.degrees is None
         if not learned or found.status is Status.INTERRUPTED:
             return None
-        moments = objective.moments(found.point)
+        moments = searched.objective.moments(found.point)
         if moments is None:
             return None
         mean, covariance = moments
@@ -512,7 +558,7 @@ class DROPO(Estimator):
         as_usual = self.starts == "measured" and self.epsilon != "tune"
         return automatic and as_usual and may_follow_runs(problem)
 
-    def _try_runs(
+    def _follow_runs(
         self,
         problem: Problem,
         run: Run,
@@ -520,18 +566,14 @@ class DROPO(Estimator):
         noise: Noise,
         mean: Array,
         reason: str,
-    ) -> tuple[Fit | None, Problem]:
-        """The fit of whole runs; where simulations diverge, none, and the problem with a warning.
+    ) -> Fit:
+        """The fit of whole runs, where their likelihood was not asked for but chosen.
 
-        reason: why whole runs are followed, a sentence for the message of the fit.
+        reason: why, a sentence for the message of the fit.
         """
         likelihood = find("likelihoods", "trajectory")()
         run.progress(0.0, reason)
-        try:
-            return self._fit_runs(problem, run, family, likelihood, noise, mean, reason), problem
-        except SimulationFailed as error:
-            warning = f"start states could not be found along whole runs: {error}"
-            return None, replace(problem, warnings=(*problem.warnings, warning))
+        return self._fit_runs(problem, run, family, likelihood, noise, mean, reason)
 
     def _fit_runs(
         self,
@@ -541,11 +583,11 @@ class DROPO(Estimator):
         likelihood: RunLikelihood,
         noise: Noise,
         mean: Array,
-        reason: str,
+        reason: str | None,
     ) -> Fit:
         """The fit by a likelihood that finds the start states of whole runs, from a first mean.
 
-        reason: why it was chosen; empty where it was asked for.
+        reason: why it was chosen; None where it was asked for.
         """
         if self.optimizer is not None or self.starts == "filtered":
             raise Incompatible(
@@ -568,7 +610,11 @@ class DROPO(Estimator):
             run_fit = likelihood.fit_runs(problem, run, family, noise, start.best)
 
         # The fit, of the rows that start from the states that were found.
-        found = replace(run_fit.found, reason=f"{run_fit.found.reason} {reason}".strip())
+        found = run_fit.found
+        name = self._likelihood_name
+        if reason is not None:
+            found = replace(found, reason=f"{found.reason} {reason}")
+            name = "trajectory"
         fit = self._summarise(
             run_fit.problem,
             run,
@@ -576,7 +622,7 @@ class DROPO(Estimator):
             run_fit.objective,
             found,
             details=run_fit.details,
-            likelihood="trajectory" if reason else self._likelihood_name,
+            likelihood=name,
             optimizer="gauss-newton",
         )
 
@@ -643,6 +689,21 @@ class DROPO(Estimator):
             "likelihood": self._likelihood_name,
             "optimizer": self.optimizer or ("fisher-scoring" if is_local else "cma-es"),
         }
+
+
+def _without_runs(problem: Problem, error: SimulationFailed) -> Problem:
+    """The problem with a warning that its whole runs could not be followed."""
+    warning = f"start states could not be found along whole runs: {error}"
+    return replace(problem, warnings=(*problem.warnings, warning))
+
+
+def _with_smoothing_noted(searched: Searched) -> Searched:
+    """What was found, with a sentence where errors of the starts were not carried on."""
+    problem = searched.problem
+    found = searched.found
+    if problem.start_noise and not searched.noise.start and starts_are_rough(problem):
+        found = replace(found, reason=f"{found.reason} {SMOOTHED}")
+    return replace(searched, found=found)
 
 
 def first_member(family: Family, unknowns: ParameterSpace, mean: Array) -> Array:

@@ -87,7 +87,7 @@ def may_follow_runs(problem: Problem, settings: NoisyStartSettings = SETTINGS) -
     return not bool(problem.simulator.in_contact(every_row).any())
 
 
-def reason_to_follow(problem: Problem) -> str:
+def reason_to_follow(problem: Problem) -> str | None:
     """Say why whole runs are to be followed at once, before any fit of segments.
 
     Parameters
@@ -97,12 +97,12 @@ def reason_to_follow(problem: Problem) -> str:
 
     Returns
     -------
-    str
-        Empty where residuals of single steps are to decide.
+    str or None
+        A sentence for the message of the fit; None where residuals of single steps are to decide.
     """
     if lacks_states(problem):
         return NOT_MEASURED
-    return ASKED_FOR if problem.whole_runs else ""
+    return ASKED_FOR if problem.whole_runs else None
 
 
 def lacks_states(problem: Problem) -> bool:

@@ -475,8 +475,8 @@ class _NoiseLearning:
     def em_step(
         self, linear: _LinearizedTransitions, noise: Array, process: Array
     ) -> tuple[Array, Array]:
-        """A step of expectation-maximization: the variances (p,) of the measurements and the process
-        noise (p, p) become the expected squares of what they stand for.
+        """A step of expectation-maximization: the variances (p,) of measurements and the covariance
+        (p, p) of the process noise become the expected squares of what they stand for.
         """
         smoothed = _smooth(self.model, linear, noise, process)
         missed = _expected_process(self.model.trajectories, linear, smoothed)
