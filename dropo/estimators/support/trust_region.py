@@ -2,14 +2,15 @@
 
 A local likelihood is sound only near the point where it was built. Each outer iteration builds one
 in the trust region, searches it for its maximum, and centres the next region there, as wide as the
-estimate is uncertain. The iterations end where the region stays as it is. First ones see only some
-of the segments (`coarse`), then, where there are very many, a sample of them (`sampled`), and the
-last ones all.
+estimate is uncertain. The iterations end where the region stays as it is. In three stages they see
+a few of the segments, then, where there are very many, a sample of them, and at last all. Messages
+call an iteration a round.
 """
 
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from enum import Enum
 
 import numpy as np
 
@@ -136,6 +137,24 @@ class TrustRegionSettings:
     slow_iteration: float = 30.0
 
 
+class Stage(Enum):
+    """How many of the segments an iteration sees.
+
+    Attributes
+    ----------
+    FEW
+        Some from all over the data, coarsely modelled.
+    SAMPLE
+        A sample of them, as finely modelled as all.
+    ALL
+        All segments.
+    """
+
+    FEW = "few"
+    SAMPLE = "sample"
+    ALL = "all"
+
+
 @dataclass(frozen=True)
 class TrustRegion:
     """Where a local likelihood is built.
@@ -144,21 +163,13 @@ class TrustRegion:
     ----------
     centre, width : (d,) array
         Means are near the centre and scales at most about the width, in the parameters' units.
-    coarse : bool
-        Whether some of the segments are enough.
-    sampled : bool
-        Whether a sample of them is enough, as finely modelled as all.
+    stage : Stage
+        How many of the segments are seen.
     """
 
     centre: Array
     width: Array
-    coarse: bool
-    sampled: bool = False
-
-    @property
-    def whole(self) -> bool:
-        """Whether all segments are seen."""
-        return not (self.coarse or self.sampled)
+    stage: Stage
 
 
 @dataclass(frozen=True)
@@ -184,6 +195,38 @@ class IterationResult:
     value: float
     errors: Array
     converged: bool
+
+    def to_record(self) -> Array:
+        """Return what is kept in the evaluation log.
+
+        Returns
+        -------
+        (2 d + 2 + m,) array
+            The region's width (d,), the errors (d,), the value, whether the search converged (0 or
+            1), and phi (m,).
+        """
+        return np.concatenate(
+            [self.region.width, self.errors, [self.value, self.converged], self.phi]
+        )
+
+    @classmethod
+    def from_record(cls, record: Array, region: TrustRegion) -> "IterationResult":
+        """Make a result again from its record.
+
+        Parameters
+        ----------
+        record : (2 d + 2 + m,) array
+            As of `to_record`.
+        region : TrustRegion
+            The region that was asked for: that of the result may be narrower.
+
+        Returns
+        -------
+        IterationResult
+        """
+        d = len(region.width)
+        width, errors, (value, converged), phi = np.split(record, [d, 2 * d, 2 * d + 2])
+        return cls(replace(region, width=width), phi, float(value), errors, bool(converged))
 
 
 @dataclass
@@ -274,7 +317,7 @@ class OuterIterations:
         if status is Status.CONVERGED and not best.converged:
             status = Status.OUT_OF_BUDGET
             reason = CUT_SHORT
-        if not best.region.whole:
+        if best.region.stage is not Stage.ALL:
             best = self._on_all_segments(best)
         objective = self._likelihood_of(best)
         value = best.value
@@ -297,12 +340,13 @@ class OuterIterations:
             # End where nothing moves, or where the likelihood no longer rises.
             following = self._next_region(result)
             settled = self._is_settled(result, following)
-            if result.region.whole and len(results) > 1 and results[-2].region.sampled:
+            sees_all = result.region.stage is Stage.ALL
+            if sees_all and len(results) > 1 and results[-2].region.stage is Stage.SAMPLE:
                 settled = settled or self._stays_inside(result)
-            if settled and result.region.whole:
+            if settled and sees_all:
                 return Status.CONVERGED, SETTLED.format(count)
             stalled = self._is_stalled(results)
-            if stalled and result.region.whole:
+            if stalled and sees_all:
                 return Status.CONVERGED, STALLED.format(count)
 
             # Move there; once the estimate is settled on some segments, see more of them.
@@ -314,19 +358,20 @@ class OuterIterations:
     ) -> TrustRegion:
         """The region with as many segments as the estimate needs: some, a sample, or all."""
         settings = self.settings
-        count = len(results)
-        if region.coarse:
-            if not settled and count < settings.coarse_iterations:
+        if region.stage is Stage.ALL:
+            return region
+        if region.stage is Stage.FEW:
+            if not settled and len(results) < settings.coarse_iterations:
                 return region
             every = self.problem.segments
             sample = len(every.thin(settings.sample_segments))  # all where they form chains
             many = len(every) >= settings.sample_factor * sample
-            return replace(region, coarse=False, sampled=many)
-        sampled = sum(result.region.sampled for result in results)
-        if not region.sampled or (not settled and sampled < settings.sample_iterations):
+            return replace(region, stage=Stage.SAMPLE if many else Stage.ALL)
+        sampled = sum(result.region.stage is Stage.SAMPLE for result in results)
+        if not settled and sampled < settings.sample_iterations:
             return region
         width = np.minimum(settings.sample_margin * region.width, settings.first_width * self.box)
-        return replace(region, width=width, sampled=False)
+        return replace(region, width=width, stage=Stage.ALL)
 
     def _stays_inside(self, result: IterationResult) -> bool:
         """Whether a first maximum on all segments is where the model of a settled sample holds."""
@@ -340,41 +385,29 @@ class OuterIterations:
     def _iteration(self, region: TrustRegion, last_maximum: Array | None) -> IterationResult:
         """One iteration, or its record in the evaluation log, from the last maximum (m,).
 
-        A record (2 d + 2 + m,) holds the width that was used (d,), the errors (d,), the value,
-        whether the search converged (0 or 1), and phi (m,). A design that diverges is one NaN, so
-        that a resumed run goes the same way.
+        A design that diverges is recorded as one NaN, so that a resumed run goes the same way.
         """
-        failed = SimulationFailed(DIVERGED)
+        failures: list[SimulationFailed] = []
 
         def evaluate(_: Array) -> Array:
-            nonlocal failed
             begun = time.perf_counter()
             steps_before = self.problem.simulator.steps
             try:
                 used_region, local = self._build(region)
             except SimulationFailed as error:
-                failed = error
+                failures.append(error)
                 return np.full((1, 1), np.nan)
-            start = self._search_start(local, used_region, last_maximum)
-            phi, converged = self._maximize(local, start)
-            errors = self._standard_errors(local, phi)
-            value = local_with_prior(local, self.prior)(phi)
-            record = np.concatenate([used_region.width, errors, [value, converged], phi])
+            result = self._search_in(used_region, local, last_maximum)
             steps = self.problem.simulator.steps - steps_before
             self._show_cost(region, time.perf_counter() - begun, steps)
-            return record[None]
+            return result.to_record()[None]
 
         # The evaluation log knows an iteration by its region.
         point = np.concatenate([region.centre, region.width])[None]
         record = self.run.evaluate(point, evaluate)[0]
         if len(record) == 1:
-            raise failed
-        # Cut the record into its parts; only the width may differ from the region's, as `_build`
-        # narrows it where simulations diverge.
-        d = len(self.box)
-        width, errors, (value, converged), phi = np.split(record, [d, 2 * d, 2 * d + 2])
-        used_region = replace(region, width=width)
-        return IterationResult(used_region, phi, float(value), errors, bool(converged))
+            raise failures[0] if failures else SimulationFailed(DIVERGED)
+        return IterationResult.from_record(record, region)
 
     def _show_cost(self, region: TrustRegion, seconds: float, steps: int) -> None:
         """Show once that iterations are slow, and what linear ones would take: 2 d + 1 simulations
@@ -394,10 +427,10 @@ class OuterIterations:
     # --- regions
 
     def _first_region(self, start: Array, width: Array | None) -> TrustRegion:
-        """A wide and coarse one, unless the start is nearly right."""
+        """A wide one that sees a few segments, unless the start is nearly right."""
         if width is None:
-            return TrustRegion(start, self.settings.first_width * self.box, coarse=True)
-        return TrustRegion(start, width, coarse=False)
+            return TrustRegion(start, self.settings.first_width * self.box, Stage.FEW)
+        return TrustRegion(start, width, Stage.ALL)
 
     def _next_region(self, result: IterationResult) -> TrustRegion:
         """The region around the found mean, as wide as spread, last move and error ask for."""
@@ -443,11 +476,10 @@ class OuterIterations:
 
     def _is_stalled(self, results: list[IterationResult]) -> bool:
         """Whether the last iterations on these segments brought no better likelihood."""
-        last = results[-1].region
-        if last.coarse:
+        stage = results[-1].region.stage
+        if stage is Stage.FEW:
             return False
-        alike = [r for r in results if not r.region.coarse and r.region.whole == last.whole]
-        values = [result.value for result in alike]
+        values = [result.value for result in results if result.region.stage is stage]
         patience = self.settings.patience
         if len(values) <= patience:
             return False
@@ -455,10 +487,11 @@ class OuterIterations:
 
     def _best(self, results: list[IterationResult]) -> IterationResult:
         """The last result; of a search that stalled, that of the highest likelihood."""
-        if not (results[-1].region.whole and self._is_stalled(results)):
-            return results[-1]
+        last = results[-1]
+        if last.region.stage is not Stage.ALL or not self._is_stalled(results):
+            return last
         # Log-likelihoods of some segments do not compare with those of all.
-        on_all_segments = [result for result in results if result.region.whole]
+        on_all_segments = [result for result in results if result.region.stage is Stage.ALL]
         return max(on_all_segments, key=lambda result: result.value)
 
     # --- the likelihood in a region
@@ -476,7 +509,7 @@ class OuterIterations:
                     region.centre,
                     region.width,
                     np.random.default_rng(self.design_seed),
-                    rough=region.coarse,
+                    rough=region.stage is Stage.FEW,
                 )
             except SimulationFailed:
                 if attempt == self.settings.retries:
@@ -490,11 +523,11 @@ class OuterIterations:
     def _segments(self, region: TrustRegion) -> Segments:
         """All segments, or some from all over the data."""
         every = self.problem.segments
-        if region.whole:
+        if region.stage is Stage.ALL:
             return every
         settings = self.settings
         count = settings.sample_segments
-        if region.coarse:
+        if region.stage is Stage.FEW:
             per_parameter = settings.coarse_segments_per_parameter * len(self.box)
             count = max(settings.coarse_segments, per_parameter)
         chosen = every.thin(count)
@@ -514,10 +547,20 @@ class OuterIterations:
     def _on_all_segments(self, result: IterationResult) -> IterationResult:
         """The same maximum in a likelihood of all segments, after an early interruption."""
         with self.run.counting():
-            region, local = self._build(replace(result.region, coarse=False, sampled=False))
+            region, local = self._build(replace(result.region, stage=Stage.ALL))
         return replace(result, region=region, value=local(result.phi))
 
     # --- the search in a region
+
+    def _search_in(
+        self, region: TrustRegion, local: LocalLogLikelihood, last_maximum: Array | None
+    ) -> IterationResult:
+        """The maximum of the likelihood that was built in a region."""
+        start = self._search_start(local, region, last_maximum)
+        phi, converged = self._maximize(local, start)
+        errors = self._standard_errors(local, phi)
+        value = local_with_prior(local, self.prior)(phi)
+        return IterationResult(region, phi, value, errors, converged)
 
     def _search_start(
         self, local: LocalLogLikelihood, region: TrustRegion, last_maximum: Array | None

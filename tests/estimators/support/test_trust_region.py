@@ -5,7 +5,12 @@ import pytest
 
 from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.noise import Noise
-from dropo.estimators.support.trust_region import OuterIterations, TrustRegion, TrustRegionSettings
+from dropo.estimators.support.trust_region import (
+    OuterIterations,
+    Stage,
+    TrustRegion,
+    TrustRegionSettings,
+)
 from dropo.families.truncated_gaussian import TruncatedGaussian
 from dropo.likelihoods.emulated import Emulated
 from dropo.likelihoods.linear import Linear
@@ -44,7 +49,7 @@ def test_the_forecast_counts_simulations():
     """A twelfth of the steps takes a twelfth of the time; no forecast where it would take more."""
     said = []
     outer = search(Emulated(), TrustRegionSettings(), said)
-    region = TrustRegion(np.ones(2), np.ones(2), coarse=False)
+    region = TrustRegion(np.ones(2), np.ones(2), Stage.ALL)
     segments = outer.problem.segments
     linear = 5 * int(segments.lengths.sum()) * outer.problem.simulator.steps_per_action
     outer._show_cost(region, 29.0, 12 * linear)
