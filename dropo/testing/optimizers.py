@@ -8,7 +8,8 @@ from typing import Protocol
 
 import numpy as np
 
-from dropo.core.contracts.optimizer import Optimizer
+from dropo.core.contracts.optimizer import CallbackOptimizer, Optimizer
+from dropo.core.services.errors import InvalidInput
 from dropo.core.services.validation import Array
 
 CENTRE = np.array([0.3, 0.6, 0.8])
@@ -179,11 +180,14 @@ def check_optimizer(factory: Factory, *, tolerance: float = 1e-3, budget: int = 
         return factory(3, np.random.default_rng(seed), budget=budget)
 
     name = type(make(0)).__name__
-    _check_batches(make(0), name)
-    _check_randomness(make, name)
-    _check_independence(make, name)
-    _check_close(make(0), name)
-    _check_finds(make(0), name, tolerance)
+    try:
+        _check_batches(make(0), name)
+        _check_randomness(make, name)
+        _check_independence(make, name)
+        _check_close(make(0), name)
+        _check_finds(make(0), name, tolerance)
+    except InvalidInput as error:
+        raise AssertionError(str(error)) from error
 
 
 def _check_batches(optimizer: Optimizer, name: str) -> None:
@@ -194,8 +198,7 @@ def _check_batches(optimizer: Optimizer, name: str) -> None:
     for _ in range(BATCHES):
         reason = optimizer.stop()
         if reason is not None:
-            sentence = isinstance(reason, str) and len(reason) > 10
-            assert sentence, f"{name}.stop must give None or a sentence, not {reason!r}"
+            _check_reason(optimizer, reason, name)
             break
         again = optimizer.stop()
         assert again is None, (
@@ -216,8 +219,18 @@ def _check_batches(optimizer: Optimizer, name: str) -> None:
             f"{name}.best is {optimizer.best[0]}, the lowest cost was given at {best_point}"
         )
     optimizer.close()
+    assert asked, f"{name} stops before it has asked for a point: {reason}"
     distinct = len(np.unique(np.concatenate(asked), axis=0))
     assert distinct > 1, f"{name} asked for the same point all the time"
+
+
+def _check_reason(optimizer: Optimizer, reason: object, name: str) -> None:
+    """What an optimizer gives when it has stopped is a sentence."""
+    rule = f"{name}.stop must give None or a sentence"
+    if isinstance(optimizer, CallbackOptimizer):
+        rule = f"{name}._minimise must return a sentence that says why it stopped"
+    is_sentence = isinstance(reason, str) and len(reason) > 10
+    assert is_sentence, f"{rule}, not {reason!r}"
 
 
 def _check_randomness(make: Callable[[int], Optimizer], name: str) -> None:
@@ -263,7 +276,9 @@ def _check_close(optimizer: Optimizer, name: str) -> None:
 
 def _check_finds(optimizer: Optimizer, name: str, tolerance: float) -> None:
     """The minimum of a sphere is found."""
-    drive(optimizer, Sphere())
+    _, reason = drive(optimizer, Sphere())
+    if reason is not None:
+        _check_reason(optimizer, reason, name)
     error = float(np.abs(optimizer.best[0] - CENTRE).max())
     assert error <= tolerance, (
         f"{name} ends {error:.2g} of the box away from the minimum of a sphere, more than "

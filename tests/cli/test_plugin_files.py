@@ -228,3 +228,31 @@ def test_a_method_that_finds_no_numbers_is_refused(
         assert words in said
     assert not (tmp_path / "out").exists()
     sys.modules.pop(file.stem, None)
+
+
+NO_REASON = """
+from dropo import register
+from dropo.core.contracts.optimizer import CallbackOptimizer
+
+
+class NoReason(CallbackOptimizer):
+    def _minimise(self, cost):
+        cost(self.start)
+
+
+register("optimizers", "no-reason", NoReason)
+"""
+
+
+def test_an_optimizer_that_does_not_say_why_it_stopped_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It forgot `return`: one line names the class and the rule, and nothing waits for ever."""
+    file = tmp_path / "no_reason_of_the_test.py"
+    file.write_text(NO_REASON)
+    assert main([*FIT, "--optimizer", "no-reason", "--plugin", str(file), "--quiet"]) == 2
+    printed, said = capsys.readouterr()
+    assert (printed, said.count("\n")) == ("", 1)
+    assert "NoReason._minimise must be a sentence that says why it stopped. Got None" in said
+    registry._registered["optimizers"].pop("no-reason", None)
+    sys.modules.pop(file.stem, None)

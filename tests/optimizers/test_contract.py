@@ -262,6 +262,29 @@ def test_an_error_in_a_minimiser_reaches_the_caller():
         optimizer.stop()
 
 
+@pytest.mark.parametrize("reason", [None, "", 3, np.zeros(2)])
+def test_a_minimiser_that_does_not_say_why_it_stopped_is_refused(reason):
+    """Also where it gives what could be taken for a point; asked again, and after it was closed,
+    it answers the same.
+    """
+
+    class Wordless(CallbackOptimizer):
+        def _minimise(self, cost):
+            cost(self.start)
+            return reason
+
+    optimizer = Wordless(2, np.random.default_rng(0))
+    optimizer.tell(optimizer.ask(), [1.0])
+    words = "Wordless._minimise must be a sentence that says why it stopped"
+    for ending in (optimizer.stop, optimizer.ask, optimizer.close, optimizer.stop):
+        if ending == optimizer.close:
+            ending()
+            continue
+        with pytest.raises(BadArgument, match=words):
+            ending()
+    assert not optimizer._thread.is_alive()
+
+
 def test_a_minimiser_that_swallows_exceptions_still_ends():
     class Stubborn(CallbackOptimizer):
         def _minimise(self, cost):

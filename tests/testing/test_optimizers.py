@@ -101,6 +101,30 @@ class LeavesItsThread(CallbackOptimizer):
         pass
 
 
+class SaysNothing(CallbackOptimizer):
+    """Forgets to say why it stopped."""
+
+    reason: object = None
+
+    def _minimise(self, cost):
+        for width in 0.3 * 0.97 ** np.arange(60):
+            cost(np.clip(self.start + width * self.rng.standard_normal(self.dimension), 0, 1))
+        return self.reason
+
+
+class SaysALine(SaysNothing):
+    """Says it in too few words."""
+
+    reason = "done"
+
+
+class AsksNothing(SaysNothing):
+    """Stops before it has asked."""
+
+    def _minimise(self, cost):
+        return "There is nothing to do."
+
+
 def test_a_valid_optimizer_passes():
     check_optimizer(Shrinking, tolerance=0.02)
 
@@ -119,6 +143,12 @@ def test_a_valid_optimizer_passes():
         (Impatient, "changes its mind"),
         (Wordless, "None or a sentence"),
         (LeavesItsThread, "leaves threads behind"),
+        (
+            SaysNothing,
+            "SaysNothing._minimise must be a sentence that says why it stopped. Got None",
+        ),
+        (SaysALine, "SaysALine._minimise must return a sentence .*, not 'done'"),
+        (AsksNothing, "AsksNothing stops before it has asked for a point"),
     ],
 )
 def test_broken_optimizers_are_caught(broken, words):

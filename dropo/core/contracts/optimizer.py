@@ -215,7 +215,7 @@ class CallbackOptimizer(Optimizer):
 
     @abstractmethod
     def _minimise(self, cost: Callable[[Array], tuple[float, Array | None]]) -> str:
-        """Minimise a cost from `self.start`, and return why it stopped.
+        """Minimise a cost from `self.start`, and return a sentence that says why it stopped.
 
         The function cost takes x (m,) and gives its value and gradient (m,), or None for that.
         """
@@ -223,7 +223,11 @@ class CallbackOptimizer(Optimizer):
     def _run(self) -> None:
         """Run the minimiser, in the thread."""
         try:
-            self._questions.put(self._minimise(self._cost))
+            reason = self._minimise(self._cost)
+            says_why = isinstance(reason, str) and bool(reason.strip())
+            rule = "a sentence that says why it stopped"
+            require(says_why, "result", rule, reason, f"{type(self).__name__}._minimise")
+            self._questions.put(reason)
         except _Closed:
             self._questions.put("The optimizer was closed.")
         except BaseException as error:  # handed to the caller of ask or stop
@@ -268,4 +272,5 @@ class CallbackOptimizer(Optimizer):
         self._answers.put(None)
         if self._thread is not None:
             self._thread.join()
-            self._pending = self._pending if isinstance(self._pending, str) else None
+            if isinstance(self._pending, np.ndarray):
+                self._pending = None
