@@ -4,13 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dropo.core.contracts.effect import EffectInstance
+from dropo.core.contracts.effect import EffectInstance, instances_of
 from dropo.core.contracts.problem import Problem
 from dropo.core.numerics.kept_rows import KeptRows
 from dropo.core.numerics.tails import normal_tail
 from dropo.core.records.independent_units import units_of
 from dropo.core.records.trajectories import Ints, Segments
-from dropo.core.services.registry import find
 from dropo.core.services.tables import number
 from dropo.core.services.validation import Array
 from dropo.evaluation.model_check import evident_signals, groups_with_draws, score_of_sum
@@ -178,7 +177,7 @@ def _trials(simulator: RobotSimulator, settings: LikelyCauseSettings) -> list[_T
     """Each effect at a size; at several, where it does not act in proportion to it."""
     found: list[_Trial] = []
     for name in settings.effects:
-        for instance in find("effects", name)(simulator.effect_context):
+        for instance in instances_of(simulator.effect_context, name):
             if len(instance.quantities) > 1 or (name == "actuator_delay" and instance.target):
                 continue
             quantity = instance.quantities[0]

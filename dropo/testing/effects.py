@@ -1,13 +1,23 @@
 """Checks that every effect must pass."""
 
+import inspect
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from dropo.core.contracts.effect import Effect, EffectInstance, Quantity, StepState
+from dropo.core.contracts.effect import (
+    Effect,
+    EffectInstance,
+    Quantity,
+    StepState,
+    check_names,
+    offered,
+)
 from dropo.core.records.trajectories import Segments
+from dropo.core.services.errors import BadArgument
+from dropo.core.services.registry import registered
 from dropo.core.services.validation import Array
 
 HOOKS = (
@@ -60,10 +70,10 @@ def check_effect(
 ) -> None:
     """Check that an effect keeps to the contract of effects on a simulator's robot.
 
-    Checked are labels, bounds and trials; that magnitude 0 is the base model bit for bit, and tiny
-    magnitudes are close to it; that responses to small magnitudes are proportional to them where
-    the quantities are declared smooth; that no simulation fails at a trial; and that hooks return
-    what they must and do not change their arguments.
+    Checked are names, labels, bounds and trials; that magnitude 0 is the base model bit for bit,
+    and tiny magnitudes are close to it; that responses to small magnitudes are proportional to them
+    where the quantities are declared smooth; that no simulation fails at a trial; and that hooks
+    return what they must and do not change their arguments.
 
     Parameters
     ----------
@@ -79,9 +89,10 @@ def check_effect(
     Raises
     ------
     AssertionError
-        If a rule is broken; the message says which.
+        If a rule is broken; the message says which. Also if the robot has no place for the effect,
+        so that nothing can be checked.
     """
-    instances = list(effect(simulator.effect_context))
+    instances = _instances(effect, simulator)
     labels = [instance.label for instance in instances]
     repeated = sorted({label for label in labels if labels.count(label) > 1})
     assert not repeated, f"labels appear twice: {repeated}"
@@ -96,8 +107,24 @@ def check_effect(
         for quantity in instance.quantities:
             _check_quantity(instance.label, quantity)
         _check_trials(instance)
-    if instances:
-        _check_responses(instances, simulator, segments, settings)
+    _check_responses(instances, simulator, segments, settings)
+
+
+def _instances(effect: Effect, simulator: Any) -> list[EffectInstance]:
+    """What an effect offers for the simulator's robot, under the name of the effect."""
+    try:
+        instances = offered(effect, simulator.effect_context)
+        for (kind, name), plugin in registered().items():
+            if kind == "effects" and plugin is effect:
+                check_names(instances, name)
+    except BadArgument as error:
+        raise AssertionError(str(error)) from error
+    name = getattr(effect, "__name__", type(effect).__name__)
+    assert instances, (
+        f"{name} offers no instance on this robot, so nothing was checked. Give a simulator whose"
+        " robot has a place for it"
+    )
+    return instances
 
 
 def _check_quantity(label: str, q: Quantity) -> None:
@@ -223,6 +250,7 @@ class _Watch:
     hook: Callable[..., Any]
 
     def __call__(self, *arguments: Any) -> Any:
+        self._check_arguments(arguments)
         arrays = _arrays(arguments)
         originals = [array.copy() for array in arrays]
         result = self.hook(*arguments)
@@ -232,11 +260,31 @@ class _Watch:
         )
         assert unchanged, f"the hook {self.name!r} of {self.label} changes what it is given"
         expected = self._shape(arguments)
+        if self.name == "wrench":
+            is_pair = isinstance(result, tuple) and len(result) == 2
+            assert is_pair, (
+                f"the hook 'wrench' of {self.label} must give a body's id and (6,) numbers, not "
+                f"{result!r}"
+            )
         got = np.shape(result[1] if self.name == "wrench" else result)
         assert expected is None or got == expected, (
             f"the hook {self.name!r} of {self.label} gives shape {got}, not {expected}"
         )
         return result
+
+    def _check_arguments(self, arguments: tuple[Any, ...]) -> None:
+        """The hook takes what it is given; what is not written in Python is not looked at."""
+        try:
+            signature = inspect.signature(self.hook)
+        except (TypeError, ValueError):
+            return
+        try:
+            signature.bind(*arguments)
+        except TypeError as error:
+            raise AssertionError(
+                f"the hook {self.name!r} of {self.label} must take {len(arguments)} arguments, the "
+                f"magnitudes last: {error}"
+            ) from error
 
     def _shape(self, arguments: tuple[Any, ...]) -> tuple[int, ...] | None:
         """Returns the shape that the hook's result must have; None where any is allowed."""

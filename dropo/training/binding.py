@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from dropo.core.contracts.effect import ActiveEffects, EffectInstance
+from dropo.core.contracts.effect import ActiveEffects, EffectInstance, instances_of
 from dropo.core.records.parameters import Parameter
 from dropo.core.services.errors import Incompatible, InvalidInput
-from dropo.core.services.registry import find, names
+from dropo.core.services.registry import names
 from dropo.core.services.validation import Array, known
 from dropo.mjmodel.fields import FieldParameter
 from dropo.simulators.mujoco.simulator import MujocoSimulator
@@ -172,9 +172,8 @@ def _effect(label: str) -> str:
 
 def _instance(label: str, simulator: MujocoSimulator, owner: str) -> EffectInstance:
     """Returns the effect instance with a label; refuses where the simulator has none."""
-    effect = find("effects", _effect(label))
     instances: dict[str, EffectInstance] = {}
-    for instance in effect(simulator.effect_context):
+    for instance in instances_of(simulator.effect_context, _effect(label)):
         instances[instance.label] = instance
     return instances[known(f"effect in {owner}", label, instances)]
 

@@ -6,6 +6,7 @@ import re
 import numpy as np
 import pytest
 
+from dropo.core.contracts.effect import instances_of
 from dropo.core.services.registry import find, names
 from dropo.testing import check_effect
 from tests.models.robots import ROBOTS
@@ -46,9 +47,24 @@ def instances(robot):
 @pytest.mark.parametrize("effect", names("effects"))
 def test_contract(robot, effect):
     """Size 0 is the base model bit for bit; bounds, probes, continuity, proportion, inputs left
-    alone, no NaN.
+    alone, no NaN. Where a robot has no place for an effect, the check says so.
     """
-    check_effect(find("effects", effect), robot.simulator, robot.segments)
+    if instances_of(robot.simulator.effect_context, effect):
+        check_effect(find("effects", effect), robot.simulator, robot.segments)
+        return
+    with pytest.raises(AssertionError, match=r"offers no instance .* nothing was checked"):
+        check_effect(find("effects", effect), robot.simulator, robot.segments)
+
+
+def test_every_effect_is_checked_on_some_robot():
+    """But the law, which has a place once it has a formula."""
+    contexts = [make().simulator.effect_context for make in ROBOTS.values()]
+    unchecked = [
+        effect
+        for effect in names("effects")
+        if not any(instances_of(context, effect) for context in contexts)
+    ]
+    assert unchecked == ["law"]
 
 
 def largest(simulator, instances):

@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dropo.core.contracts.effect import EffectInstance, Quantity
+from dropo.core.contracts.effect import EffectInstance, Quantity, instances_of
+from dropo.core.services import registry
+from dropo.core.services.errors import BadArgument
 from dropo.testing import check_effect
 from tests.models.robots import ROBOTS
 
@@ -27,9 +29,58 @@ def check(*instances):
 
 
 def test_a_valid_effect_passes():
-    """A constant generalised force; and a plug-in that has nothing to offer for a robot."""
+    """A constant generalised force."""
     check(VALID)
-    check()
+
+
+def test_an_effect_without_a_place_is_not_checked():
+    """Nothing is offered for the arm: silence would say that it keeps to the contract."""
+    with pytest.raises(AssertionError, match=r"offers no instance .* nothing was checked"):
+        check()
+
+
+def test_an_effect_whose_instances_have_another_name_is_found(monkeypatch):
+    """It is registered by one name, and writes another into files and results."""
+
+    def push(context):
+        yield VALID
+
+    monkeypatch.setattr(registry, "_registered", {"effects": {"push": push}})
+    robot = ROBOTS["arm"]()
+    words = "registered as 'push' gives instances called 'pull'"
+    with pytest.raises(AssertionError, match=words):
+        check_effect(push, robot.simulator, robot.segments)
+    for given in ("push", "push:everything"):
+        effect, _, place = given.partition(":")
+        with pytest.raises(BadArgument, match=words):
+            instances_of(robot.simulator.effect_context, effect, place)
+
+
+@pytest.mark.parametrize(
+    ("effect", "words"),
+    [
+        (lambda context: VALID, "must be a function that yields instances. Got EffectInstance"),
+        (lambda context: None, "must be a function that yields instances. Got NoneType"),
+        (lambda context: ["pull"], "must be EffectInstance each. Got 'pull'"),
+        (
+            lambda context: [EffectInstance("pull", None, SIZE, force=pull)],
+            r"'quantities' of EffectInstance pull must be a tuple of Quantity.* Got Quantity\(",
+        ),
+        (
+            lambda context: [EffectInstance("pull", None, (Quantity("size", "N", 0, 1, 0.5),))],
+            r"'probes' of Quantity size must be a tuple of numbers.* Got 0.5",
+        ),
+        (
+            lambda context: [replace(VALID, quantities=(SIZE, *probed().quantities), trials=())],
+            "pull:everything/size has no probes",
+        ),
+    ],
+)
+def test_what_is_no_effect_is_named(effect, words):
+    """One returned in place of yielded, and tuples that are none."""
+    robot = ROBOTS["arm"]()
+    with pytest.raises(AssertionError, match=words):
+        check_effect(effect, robot.simulator, robot.segments)
 
 
 def jumps(state, sizes):
@@ -59,6 +110,16 @@ def explodes(state, sizes):
     return np.full_like(state.qvel, np.nan if abs(sizes[0]) > 0.3 else sizes[0])
 
 
+def of_three(state, sizes, step):
+    """Takes an argument too many."""
+    return np.zeros_like(state.qvel)
+
+
+def unpaired(sizes):
+    """A wrench without its body."""
+    return 7
+
+
 def short(state, sizes):
     """One joint too few."""
     return np.full((len(state.qvel), 1), sizes[0])
@@ -79,6 +140,14 @@ BROKEN = {
     ),
     "fails": ((replace(VALID, force=explodes),), "simulations fail under pull:everything at"),
     "wrong shape": ((replace(VALID, force=short),), "gives shape"),
+    "argument too many": (
+        (replace(VALID, force=of_three),),
+        "the hook 'force' of pull:everything must take 2 arguments, the magnitudes last:",
+    ),
+    "wrench without body": (
+        (replace(VALID, force=None, wrench=unpaired),),
+        "the hook 'wrench' of pull:everything must give a body's id and (6,) numbers, not 7",
+    ),
     "probe out of bounds": ((probed(0.5, 2.0),), "outside of its bounds"),
     "probe 0": ((probed(0.0),), "0 or outside"),
     "no probe": ((probed(),), "no probes"),

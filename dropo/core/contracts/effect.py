@@ -12,8 +12,9 @@ import numpy as np
 
 from dropo.core.records.parameters import Parameter
 from dropo.core.records.trajectories import Ints, Segments
+from dropo.core.services.errors import BadArgument
 from dropo.core.services.registry import find
-from dropo.core.services.validation import Array, known
+from dropo.core.services.validation import Array, known, require
 
 Model = Any  # a mujoco.MjModel
 
@@ -38,6 +39,11 @@ class Quantity:
         The model's own number to which the magnitude is added, where there is one.
     relative : bool
         Whether the magnitude is a fraction of `base`.
+
+    Raises
+    ------
+    BadArgument
+        If the probes are no tuple.
     """
 
     name: str
@@ -48,6 +54,11 @@ class Quantity:
     smooth: bool = True
     base: float | None = None
     relative: bool = False
+
+    def __post_init__(self) -> None:
+        rule = "a tuple of numbers, such as (0.1,)"
+        is_tuple = isinstance(self.probes, tuple)
+        require(is_tuple, "probes", rule, self.probes, f"Quantity {self.name}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +152,7 @@ class EffectInstance:
     Attributes
     ----------
     effect : str
-        The name of the effect, such as "joint_damping".
+        The name by which the effect is registered, such as "joint_damping".
     target : str or None
         The body, joint, actuator, geom or signal; None where the effect is global.
     quantities : tuple of Quantity
@@ -200,6 +211,11 @@ class EffectInstance:
         where that is not 0. There is one set of at least k trials then, which span them; the first
         q span enough of them for a first choice.
 
+    Raises
+    ------
+    BadArgument
+        If the quantities are no tuple.
+
     Notes
     -----
     A hook leaves its arguments as they are; `model` alone changes its own. Hooks made of module
@@ -232,6 +248,10 @@ class EffectInstance:
     linear_in: Callable[[Array], Array] | None = None
 
     def __post_init__(self) -> None:
+        rule = "a tuple of Quantity, such as (size,)"
+        is_tuple = isinstance(self.quantities, tuple)
+        caller = f"EffectInstance {self.label}"
+        require(is_tuple, "quantities", rule, self.quantities, caller)
         if not self.trials:
             object.__setattr__(self, "trials", _trials(self.quantities))
 
@@ -253,6 +273,8 @@ class EffectInstance:
 
 def _trials(quantities: tuple[Quantity, ...]) -> tuple[tuple[tuple[float, ...], ...], ...]:
     """Each probe of one quantity as a set, or the last probes of several as one set."""
+    if not all(quantity.probes for quantity in quantities):
+        return ()
     if len(quantities) == 1:
         return tuple(((probe,),) for probe in quantities[0].probes)
     largest = np.diag([quantity.probes[-1] for quantity in quantities])
@@ -289,6 +311,42 @@ ActiveEffects = Sequence[tuple[EffectInstance, Array]]
 
 Effect = Callable[[EffectContext], Iterable[EffectInstance]]
 """A plug-in of kind "effects": the instances of one effect at every place where it can be."""
+
+
+def offered(effect: Effect, context: EffectContext) -> list[EffectInstance]:
+    """List what an effect offers for a robot.
+
+    Parameters
+    ----------
+    effect : callable
+        The plug-in.
+    context : EffectContext
+        The robot.
+
+    Returns
+    -------
+    list of EffectInstance
+        One for each of its places; empty where the robot has none.
+
+    Raises
+    ------
+    BadArgument
+        If it gives anything else.
+    """
+    found = effect(context)
+    name = getattr(effect, "__name__", type(effect).__name__)
+    if not isinstance(found, Iterable):
+        raise BadArgument(
+            f"The effect {name} must be a function that yields instances. Got"
+            f" {type(found).__name__}: write `yield EffectInstance(...)`, or give a list of them."
+        )
+    instances = list(found)
+    for one in instances:
+        if not isinstance(one, EffectInstance):
+            raise BadArgument(
+                f"The instances of the effect {name} must be EffectInstance each. Got {one!r}."
+            )
+    return instances
 
 
 def magnitudes_of(
@@ -334,10 +392,38 @@ def instances_of(context: EffectContext, effect: str, place: str = "") -> list[E
     ------
     UnknownName
         If there is no such effect, or none at that place; with the nearest valid name.
+    BadArgument
+        If the effect gives anything but instances of its name.
     """
-    found = list(find("effects", effect)(context))
+    found = offered(find("effects", effect), context)
+    check_names(found, effect)
     if not place:
         return found
     places = [instance.label.partition(":")[2] for instance in found]
     known(f"place for {effect}", place, sorted({p for p in places if p}))
     return [instance for instance, own in zip(found, places, strict=True) if own == place]
+
+
+def check_names(instances: Iterable[EffectInstance], effect: str) -> None:
+    """Refuse instances that have another name than their effect.
+
+    Files and results name an instance by its own name, and find its effect by it.
+
+    Parameters
+    ----------
+    instances : iterable of EffectInstance
+        What the effect offers.
+    effect : str
+        The name by which it is registered.
+
+    Raises
+    ------
+    BadArgument
+        If one has another name.
+    """
+    for instance in instances:
+        if instance.effect != effect:
+            raise BadArgument(
+                f"The effect registered as {effect!r} gives instances called {instance.effect!r}."
+                f" Give both one name: EffectInstance({effect!r}, ...)."
+            )

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity
+from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity, instances_of
 from dropo.core.services.files.file_content import FileContent, describe_options, describe_value
-from dropo.core.services.registry import find, names
+from dropo.core.services.registry import names
 from dropo.core.services.validation import Array
 from dropo.effects.law import law_instance
 from dropo.problems.file.schema import EffectEntry, ProblemFile
@@ -92,7 +92,8 @@ def _find_effect(
         raise file.refusal(f"{key}.formula", expected, describe_value(entry.formula or None))
     if entry.formula:
         return _find_law(file, key, entry, robot)
-    every = list(find("effects", name)(robot))
+    with file.at(f"{key}.effect"):
+        every = instances_of(robot, name)
     alike = [instance for instance in every if instance.variant == entry.variant]
     if not alike:
         variants = sorted({instance.variant for instance in every})

@@ -10,10 +10,9 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dropo.core.contracts.effect import EffectInstance, Quantity, StepState
+from dropo.core.contracts.effect import EffectInstance, Quantity, StepState, instances_of
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Trajectories
-from dropo.core.services.registry import find
 from dropo.core.services.validation import Array, check_shape
 from dropo.mjmodel.bodies import body_masses, body_place
 from dropo.mjmodel.dynamics.drives import servo_of
@@ -142,7 +141,7 @@ def sliding_target(simulator: MujocoSimulator) -> MujocoSimulator:
     effects = [(uneven, np.array([SLOPE]))]
     delays = {
         instance.target: instance
-        for instance in find("effects", "sensor_delay")(simulator.effect_context)
+        for instance in instances_of(simulator.effect_context, "sensor_delay")
     }
     for signal in simulator.signals:
         if "puck" in signal.name:

@@ -11,11 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from dropo.core.contracts.effect import EffectInstance
+from dropo.core.contracts.effect import instances_of
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.files.atomic_write import write_json
-from dropo.core.services.registry import find
 from dropo.core.services.validation import Array, known, require
 from dropo.mjmodel.options import integrator
 from dropo.problems.file.writer import write_problem
@@ -325,7 +324,7 @@ def targets_of(robot: SimulatedRobot) -> dict[str, list[str | None]]:
     context = robot.simulator.without_parameters().effect_context
     found: dict[str, list[str | None]] = {}
     for kind in KINDS:
-        instances: list[EffectInstance] = list(find("effects", kind)(context))
+        instances = instances_of(context, kind)
         places = list(dict.fromkeys(instance.target for instance in instances))
         if places:
             found[kind] = places

@@ -13,10 +13,10 @@ import numpy as np
 from scipy.stats import beta
 
 from dropo import Diagnose, Diagnosis
-from dropo.core.contracts.effect import EffectInstance, Quantity, StepState
+from dropo.core.contracts.effect import EffectInstance, Quantity, StepState, instances_of
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Trajectories
-from dropo.core.services.registry import find, names
+from dropo.core.services.registry import names
 from dropo.core.services.validation import Array, known, require
 from dropo.diagnosis.parts import are_stated
 from dropo.diagnosis.search.library import LAW
@@ -540,7 +540,7 @@ def draw(
         The effect, whose first magnitude is log-uniform within these bounds; None if the robot has
         no place for it, or its magnitude is 0.
     """
-    instances = list(find("effects", kind)(robot.simulator.effect_context))
+    instances = instances_of(robot.simulator.effect_context, kind)
     if not instances:
         return None
     instance = instances[rng.integers(len(instances))]

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from dropo import Diagnose
+from dropo.core.contracts.effect import instances_of
 from dropo.core.contracts.estimator import Estimator
 from dropo.core.contracts.interactive_estimator import distribution
 from dropo.core.contracts.problem import Problem
@@ -189,7 +190,7 @@ def extended_model(effects: list[list[Any]]) -> Problem:
     assert isinstance(simulator, MujocoSimulator)
     fixed = []
     for effect, label, magnitudes in effects:
-        instances = find("effects", effect)(simulator.effect_context)
+        instances = instances_of(simulator.effect_context, effect)
         by_label = {instance.label: instance for instance in instances}
         fixed.append((by_label[label], np.array(magnitudes)))
     return replace(light, simulator=simulator.with_effects((), fixed))

@@ -2,8 +2,8 @@
 
 from collections.abc import Mapping
 
+from dropo.core.contracts.effect import instances_of
 from dropo.core.contracts.problem import Problem
-from dropo.core.services.registry import find
 from dropo.data.outliers.input_choice import InputChoice, choose_input
 from dropo.diagnosis.search.library import declared, robot_of
 
@@ -42,7 +42,7 @@ def choose_problem_input(
     simulator = robot_of(first)
     losses = []
     for name in LOSSES:
-        for instance in find("effects", name)(simulator.effect_context):
+        for instance in instances_of(simulator.effect_context, name):
             if instance.target is not None and not declared(simulator, instance):
                 losses.append(instance)
     simulator = simulator.with_effects(losses)
