@@ -2,15 +2,23 @@
 differences confirm.
 """
 
+import math
+
 import numpy as np
 import pytest
+from scipy.stats import triang
 
+from dropo.core.contracts.family import Family, means_and_scales
+from dropo.core.numerics.array_api import plain
 from dropo.core.numerics.standard_distributions import NORMAL, TRUNCATED_NORMAL, UNIFORM
 from dropo.core.records.parameters import Parameter, ParameterSpace
-from dropo.core.services.errors import BadArgument
+from dropo.core.records.trajectories import Trajectories
+from dropo.core.services.errors import BadArgument, Incompatible
 from dropo.core.services.registry import find
 from dropo.families.full_gaussian import FullGaussian
 from dropo.families.truncated_gaussian import TruncatedGaussian
+from dropo.likelihoods.monte_carlo import MonteCarlo
+from dropo.simulators.differentiable import Pendulum
 
 torch = pytest.importorskip("torch")
 SPACE = ParameterSpace(
@@ -119,3 +127,50 @@ def test_refusals():
         family.draw(torch.ones(8, dtype=torch.float64), base)
     with pytest.raises(BadArgument, match="'phi' of FullGaussian must be finite"):
         family.draw(torch.full((9,), torch.nan, dtype=torch.float64), base)
+
+
+class Triangle(Family):
+    """Computes with SciPy what it multiplies by phi."""
+
+    def __init__(self, space):
+        super().__init__(space)
+        self.unknowns = means_and_scales(space)
+
+    def _draw(self, phi, base):
+        return self.mean(phi) + self.scale(phi) * (2 * triang.ppf(base, 0.5) - 1)
+
+    def mean(self, phi):
+        return phi[: len(self.space)]
+
+    def sd(self, phi):
+        return self.scale(phi) / math.sqrt(6)
+
+
+class Detached(Triangle):
+    """Computes without torch, and gives an array."""
+
+    def _draw(self, phi, base):
+        return super()._draw(plain(phi), base)
+
+
+@pytest.mark.parametrize("kind", [Triangle, Detached])
+def test_a_family_that_does_not_work_on_tensors_says_so(kind):
+    """It draws arrays; of a tensor it gives no gradients, and the message says what to do. A
+    likelihood's gradient asks for them.
+    """
+    simulator = Pendulum(substeps=1)
+    family = kind(simulator.space)
+    phi = family.unknowns.from_unit(np.full(len(family.unknowns), 0.5))
+    base = family.base(16, np.random.default_rng(0))
+    assert np.isfinite(family.draw(phi, base)).all()
+    leaf = torch.tensor(phi, requires_grad=True)
+    words = f"{kind.__name__} gives no gradients, since its `_draw` does not work on torch tensors"
+    for draw in (lambda: family.draw(leaf, base), lambda: family.map(leaf, base[0])):
+        with pytest.raises(Incompatible, match=words):
+            draw()
+    states = np.zeros((4, 2))
+    data = Trajectories(states, np.ones((4, 1)), states, np.ones(4, dtype=bool))
+    rng = np.random.default_rng(0)
+    bound = MonteCarlo(draws=16).bind(simulator, data.segments(), family, 1e-3, rng)
+    with pytest.raises(Incompatible, match=words):
+        bound.gradient(phi)

@@ -5,14 +5,16 @@ A member is drawn by mapping fixed base points, so that objectives are determini
 
 from abc import ABC, abstractmethod
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dropo.core.numerics.array_api import checked, constant, namespace
+from dropo.core.numerics.array_api import checked, constant, is_tensor, namespace
 from dropo.core.numerics.sobol import sobol_points
 from dropo.core.numerics.standard_distributions import StandardDistribution
 from dropo.core.records.parameters import Parameter, ParameterSpace
+from dropo.core.services.errors import Incompatible
 from dropo.core.services.validation import Array, require
 
 
@@ -20,8 +22,9 @@ class Family(ABC):
     """A family of distributions over d parameters; a vector phi (m,) names one member.
 
     A plug-in sets `unknowns` and writes `_draw`, `mean` and `sd`. With phi as a NumPy array its
-    methods return arrays; with phi as a float64 torch tensor, tensors with their autograd history
-    (see `dropo.core.numerics.array_api`).
+    methods return arrays. Those of a family that computes with `dropo.core.numerics.array_api`,
+    as the built-in ones, return tensors with their autograd history where phi is a float64 torch
+    tensor; one that does not gives no gradients, and says so where its draws are asked for them.
 
     Parameters
     ----------
@@ -106,14 +109,16 @@ class Family(ABC):
         ------
         BadArgument
             If phi has another shape or is not finite.
+        Incompatible
+            If phi is a tensor, and the family does not work on tensors.
         """
         member = checked("phi", phi, (len(self.unknowns),), type(self).__name__)
-        values = self._draw(member, base[0])
+        values = self.map(member, base[0])
         for attempt in base[1:]:
             bad = self._infeasible(values)
             if not bad.any():
                 return values
-            values = namespace(values).where(bad, self._draw(member, attempt), values)
+            values = namespace(values).where(bad, self.map(member, attempt), values)
         return self.space.feasible(values)
 
     def map(self, phi: Array, base: Array) -> Array:
@@ -130,8 +135,30 @@ class Family(ABC):
         -------
         (K, d) array
             In the parameters' units.
+
+        Raises
+        ------
+        Incompatible
+            If phi is a tensor, and the family does not work on tensors.
         """
-        return self._draw(phi, base)
+        if not is_tensor(phi):
+            return self._draw(phi, base)
+        member: Any = phi
+        failed: Exception | None = None
+        try:
+            drawn: Any = self._draw(phi, base)
+            if is_tensor(drawn) and drawn.requires_grad >= member.requires_grad:
+                return drawn
+        except (
+            RuntimeError,
+            TypeError,
+        ) as error:  # what torch raises where NumPy is given a tensor
+            failed = error
+        raise Incompatible(
+            f"{type(self).__name__} gives no gradients, since its `_draw` does not work on torch"
+            " tensors: put its constants in `dropo.core.numerics.array_api.constant(..., phi)`, or"
+            " use an optimizer without gradients, such as 'cma-es'."
+        ) from failed
 
     def sample(self, phi: ArrayLike, draws: int, rng: np.random.Generator) -> Array:
         """Draw independent parameter vectors, such as for training.
