@@ -11,6 +11,7 @@ from dropo.core.services.errors import BadFile
 from dropo.logs.readers.reader import Arrays, Log
 
 KINDS = "biufMU"  # numpy's kinds of numbers, dates and texts
+STAMPS = "iufM"  # those of time stamps
 
 
 def check_log_reader(reader: Callable[[Path], Log], path: str | Path) -> None:
@@ -27,8 +28,9 @@ def check_log_reader(reader: Callable[[Path], Log], path: str | Path) -> None:
     Raises
     ------
     AssertionError
-        If columns have no or two meanings, rows are not the same each time, or a file that is cut
-        in half raises anything but `BadFile`. The message says which rule is broken.
+        If columns have no or two meanings, rows are not the same each time, the column of stamps or
+        of runs is none of the columns, or a file that is cut in half raises anything but `BadFile`.
+        The message says which rule is broken.
     """
     place = Path(path)
     log = reader(place)
@@ -45,9 +47,21 @@ def _check_table(reader: Callable[[Path], Log], place: Path, topic: str | None, 
     """Checks the columns of one topic: all, in another order, and alone."""
     log = reader(place)
     columns = log.columns(topic)
+    assert isinstance(columns, list), (
+        f"{name}.columns gives {type(columns).__name__}, not a list of names"
+    )
     assert columns, f"{name}.columns gives no names"
     assert len(set(columns)) == len(columns), f"{name}.columns gives a name twice: {columns}"
+    stamps = log.stamps(topic)
+    for what, column in (("stamps", stamps), ("runs", log.run_column)):
+        assert column is None or column in columns, (
+            f"{name} names the column of {what} {column!r}, which is none of its columns {columns}"
+        )
     whole = _read(log, topic, columns, name)
+    assert stamps is None or whole[stamps].dtype.kind in STAMPS, (
+        f"the column of stamps {stamps!r} of {name} must be numbers, in s, or dates, not "
+        f"{whole[stamps].dtype}"
+    )
     again = _read(reader(place), topic, columns[::-1], name)
     for column in columns:
         alone = _read(log, topic, [column], name)[column]
@@ -60,7 +74,14 @@ def _read(log: Log, topic: str | None, columns: list[str], name: str) -> Arrays:
     """Reads columns and checks names, shapes, types and the progress that is reported."""
     shares: list[float] = []
     found = log.read(topic, columns, lambda share, text: shares.append(share))
+    assert isinstance(found, dict), (
+        f"{name}.read gives {type(found).__name__}, not a dict of arrays"
+    )
     assert set(found) == set(columns), f"{name}.read gives {sorted(found)}, not {sorted(columns)}"
+    for column, array in found.items():
+        assert isinstance(array, np.ndarray), (
+            f"{name} reads {column!r} as {type(array).__name__}, not as a NumPy array"
+        )
     shapes = {column: np.shape(array) for column, array in found.items()}
     rows = set(shapes.values())
     assert len(rows) == 1, f"{name}.read gives columns of several lengths: {shapes}"

@@ -107,6 +107,56 @@ class Restless(Lines):
         return {name: array + Restless.reads for name, array in found.items()}
 
 
+class Lists(Lines):
+    """Gives lists in place of arrays."""
+
+    def read(self, topic, columns, progress):
+        found = super().read(topic, columns, progress)
+        return {name: array.tolist() for name, array in found.items()}
+
+
+class Nothing(Lines):
+    """Forgets to return what it has read."""
+
+    def read(self, topic, columns, progress):
+        super().read(topic, columns, progress)
+
+
+class Unnamed(Lines):
+    """Gives no list of names."""
+
+    def columns(self, topic):
+        return None
+
+
+class Untimed(Lines):
+    """Names a column of stamps that it does not have."""
+
+    time_column = "time"
+
+
+class Unparted(Lines):
+    """Names a column of runs that it does not have."""
+
+    run_column = "run"
+
+
+class Dated(Lines):
+    """Keeps to the contract: its stamps are a column of its own."""
+
+    time_column = "t"
+
+
+class Wordy(Lines):
+    """Its stamps are texts."""
+
+    time_column = "q"
+
+    def read(self, topic, columns, progress):
+        found = super().read(topic, columns, progress)
+        return {name: array.astype(str) for name, array in found.items()}
+
+
 @pytest.fixture
 def lines(tmp_path: Path) -> Path:
     """The same log, one JSON object a line."""
@@ -120,6 +170,7 @@ def lines(tmp_path: Path) -> Path:
 
 def test_a_reader_of_ones_own_passes_and_is_found_by_its_ending(lines, monkeypatch) -> None:
     check_log_reader(Lines, lines)
+    check_log_reader(Dated, lines)
     monkeypatch.setattr("dropo.core.services.registry._registered", {"readers": {}})
     register("readers", "jsonl", Lines)
     assert isinstance(open_log(lines), Lines)
@@ -135,6 +186,15 @@ def test_a_reader_of_ones_own_passes_and_is_found_by_its_ending(lines, monkeypat
         (Silent, "never reports"),
         (Objects, "no numbers, dates or texts"),
         (Restless, "differently a second time"),
+        (Lists, "reads 't' as list, not as a NumPy array"),
+        (Nothing, "read gives NoneType, not a dict of arrays"),
+        (Unnamed, "columns gives NoneType, not a list of names"),
+        (
+            Untimed,
+            r"names the column of stamps 'time', which is none of its columns \['t', 'q', 'u'\]",
+        ),
+        (Unparted, "names the column of runs 'run', which is none"),
+        (Wordy, "the column of stamps 'q' .* must be numbers, in s, or dates"),
         (lambda path: None, "which is no Log"),
     ],
 )

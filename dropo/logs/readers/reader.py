@@ -62,7 +62,7 @@ class Log(ABC):
     run_column : str or None
         The column that tells its runs apart, where the kind of log has one.
     time_column : str or None
-        Its own column of stamps.
+        Its own column of stamps: numbers in s, or dates.
     separate_runs : bool
         Whether each run counts its own rows.
     """
