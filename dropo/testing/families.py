@@ -44,6 +44,7 @@ def check_family(
     """
     wide, tight = _spaces()
     family = factory(wide)
+    _check_kinds(family, factory)
     _check_unknowns(family)
     _check_base(family)
     rng = np.random.default_rng(0)
@@ -56,14 +57,43 @@ def check_family(
     _check_feasible(factory(tight))
 
 
-def _check_unknowns(family: Family) -> None:
-    """The unknowns have a mean and a scale for each parameter, and `phi` inverts both."""
+def _check_kinds(family: object, factory: Callable[[ParameterSpace], Family]) -> None:
+    """There is a family with unknowns, and its methods give arrays."""
+    made_by = getattr(factory, "__name__", type(factory).__name__)
+    assert isinstance(family, Family), (
+        f"{made_by} gives {type(family).__name__}, which is no Family"
+    )
     name = type(family).__name__
+    unknowns = getattr(family, "unknowns", None)
+    assert unknowns is not None, (
+        f"{name} sets no `unknowns`, the ParameterSpace of phi, such as means_and_scales(space)"
+    )
+    assert isinstance(unknowns, ParameterSpace), (
+        f"{name}.unknowns is {type(unknowns).__name__}, not the ParameterSpace of phi, such as "
+        "means_and_scales(space)"
+    )
+    _check_names(family)
+    phi = unknowns.from_unit(np.full(len(unknowns), 0.5))
+    base = np.full((2, len(family.space)), 0.4)
+    for method, arguments in (("mean", (phi,)), ("sd", (phi,)), ("_draw", (phi, base))):
+        given = getattr(family, method)(*arguments)
+        assert isinstance(given, np.ndarray), (
+            f"{name}.{method} gives {type(given).__name__}, not an array"
+        )
+
+
+def _check_names(family: Family) -> None:
+    """The unknowns have a mean and a scale for each parameter."""
     for parameter in family.space.names:
         for kind in ("mean", "scale"):
             assert f"{kind}.{parameter}" in family.unknowns.names, (
-                f"{name}.unknowns has no '{kind}.{parameter}'"
+                f"{type(family).__name__}.unknowns has no '{kind}.{parameter}'"
             )
+
+
+def _check_unknowns(family: Family) -> None:
+    """`phi` inverts mean and scale."""
+    name = type(family).__name__
     mean = family.space.from_unit(np.full(len(family.space), 0.4))
     boxes = [family.unknowns[f"scale.{parameter}"] for parameter in family.space.names]
     scale = np.array([np.sqrt(box.low * box.high) for box in boxes])

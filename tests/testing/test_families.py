@@ -102,9 +102,43 @@ class OneColumn(Uniform):
         return super().draw(phi, base)[:, :1]
 
 
+class NoUnknowns(Uniform):
+    """Names no unknowns."""
+
+    def __init__(self, space):
+        Family.__init__(self, space)
+
+
+class ListOfUnknowns(Uniform):
+    """Gives a list of names."""
+
+    def __init__(self, space):
+        super().__init__(space)
+        self.unknowns = list(self.unknowns.names)
+
+
+class NoDraws(Uniform):
+    """Forgets to return its draws."""
+
+    def _draw(self, phi, base):
+        super()._draw(phi, base)
+
+
+class NoMean(Uniform):
+    """Forgets to return its mean."""
+
+    def mean(self, phi):
+        super().mean(phi)
+
+
 @pytest.mark.parametrize(
     ("broken", "words"),
     [
+        (NoUnknowns, "NoUnknowns sets no `unknowns`, the ParameterSpace of phi"),
+        (ListOfUnknowns, "ListOfUnknowns.unknowns is list, not the ParameterSpace of phi"),
+        (NoDraws, "NoDraws._draw gives NoneType, not an array"),
+        (NoMean, "NoMean.mean gives NoneType, not an array"),
+        (lambda space: None, "gives NoneType, which is no Family"),
         (SigmaForSd, "the sd of 20000 draws of SigmaForSd is .* standard errors"),
         (NotTruncated, "the sd of 20000 draws of NotTruncated"),
         (OffCentre, "the mean of 20000 draws of OffCentre"),
