@@ -1,5 +1,6 @@
 """The target `effect`: the laws that a diagnosis found as an effect of one's own, in a plug-in."""
 
+import re
 from collections.abc import Sequence
 
 from dropo.core.contracts.effect import EffectInstance
@@ -63,11 +64,19 @@ def effect(subject: Subject) -> Written:
         )
     files: dict[str, str | bytes] = {}
     for instance, sizes in laws:
-        name = "law_" + "".join(c if c.isalnum() else "_" for c in str(instance.target))
+        name = _name(instance)
+        while f"{name}.py" in files:
+            name = f"{name}_too"
         files[f"{name}.py"] = _written(name, instance, sizes.tolist())
     others = [one.label for one, _ in subject.around if not one.formula]
     left_out = tuple(f"{label} is left out: an effect of the registry." for label in others)
     return Written(files, left_out)
+
+
+def _name(instance: EffectInstance) -> str:
+    """The name of a law's file and effect, by the place of the law."""
+    words = re.findall(r"[a-z0-9]+", str(instance.target).lower())
+    return "_".join(["law", *words])
 
 
 def _written(name: str, instance: EffectInstance, sizes: Sequence[float]) -> str:

@@ -3,16 +3,19 @@
 import errno
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
 import pytest
 
 import dropo
+from dropo.core.contracts.effect import EffectInstance, Quantity
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import BadFile, Incompatible, UnknownName
-from dropo.core.services.registry import names, register
+from dropo.core.services.registry import is_name, names, register
+from dropo.exports.effect import effect
 from dropo.exports.export import export
 from dropo.exports.support.subject import Written
 from dropo.mjmodel.fields import FieldParameter
@@ -27,6 +30,20 @@ def test_what_has_no_law_is_no_effect(arm, tmp_path):
     with pytest.raises(Incompatible, match="has no law"):
         fit.export("effect", tmp_path / "plugin", problem=problem)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_laws_have_names_of_their_own():
+    """Places that differ in what no name of an effect can have are told apart."""
+    size = Quantity("c", "N", -1.0, 1.0, (0.1,))
+    places = ("Arm.Elbow-1", "arm elbow 1", "wrist")
+    laws = [EffectInstance("law", place, (size,), formula="c * v") for place in places]
+    subject = SimpleNamespace(name="arm", around=[(law, np.array([0.5])) for law in laws])
+    files = effect(subject).files
+    assert sorted(files) == ["law_arm_elbow_1.py", "law_arm_elbow_1_too.py", "law_wrist.py"]
+    for file, text in files.items():
+        name = file.removesuffix(".py")
+        assert is_name("effects", name)
+        assert f'register("effects", {name!r}, {name})' in text
 
 
 @pytest.mark.parametrize("target", [one for one in names("exports") if one != "effect"])

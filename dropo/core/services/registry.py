@@ -5,12 +5,15 @@ Other packages announce theirs as entry points of the group `dropo.<kind>`, for 
 """
 
 import importlib
+import re
+import sys
 from collections.abc import Callable
 from functools import cache
 from importlib.metadata import entry_points
 from typing import Any
 
-from dropo.core.services.validation import known
+from dropo.core.services.errors import BadArgument
+from dropo.core.services.validation import known, require
 
 _EFFECTS = (
     "bodies.body_mass",
@@ -205,6 +208,9 @@ SERVICES = {
 }
 """Functions of rooms above that a lower room calls; such strings are here alone."""
 _registered: dict[str, dict[str, Any]] = {kind: {} for kind in BUILT_IN}
+_registered_by: dict[tuple[str, str], str] = {}
+"""By kind and name, the module that called `register`."""
+_NAME = re.compile(r"[a-z0-9]+(?:[-_][a-z0-9]+)*")
 
 
 def register(kind: str, name: str, plugin: Callable[..., Any]) -> None:
@@ -215,7 +221,7 @@ def register(kind: str, name: str, plugin: Callable[..., Any]) -> None:
     kind : str
         One of `kinds()`.
     name : str
-        Its name.
+        Its name: lower-case words or numbers joined by - or _, such as "random-search".
     plugin : callable
         A class or a function.
 
@@ -223,8 +229,45 @@ def register(kind: str, name: str, plugin: Callable[..., Any]) -> None:
     ------
     UnknownName
         If there is no such kind.
+    BadArgument
+        If the name is none, or is that of a built-in part or of one that another module
+        registered.
     """
-    _registered[known("kind of plug-in", kind, BUILT_IN)][name] = plugin
+    known("kind of plug-in", kind, BUILT_IN)
+    rule = "lower-case words or numbers joined by - or _, such as 'my-part'"
+    require(is_name(kind, name), "name", rule, name, f"register({kind!r}, ...)")
+    what = f"The {_singular(kind)} {name!r}"
+    if name in BUILT_IN[kind]:
+        raise BadArgument(f"{what} is built in. Give your own another name.")
+    module = str(sys._getframe(1).f_globals.get("__name__"))
+    owner = _registered_by.get((kind, name), module)
+    if name in _registered[kind] and owner != module:
+        raise BadArgument(
+            f"{what} is registered already, by {owner}. Give one of the two another name."
+        )
+    _registered[kind][name] = plugin
+    _registered_by[kind, name] = module
+
+
+def is_name(kind: str, name: object) -> bool:
+    """Tell whether a plug-in may have a name.
+
+    Parameters
+    ----------
+    kind : str
+        One of `kinds()`.
+    name : object
+        Lower-case words or numbers joined by - or _; numbers in the names of studies may have
+        points.
+
+    Returns
+    -------
+    bool
+    """
+    if not isinstance(name, str):
+        return False
+    words = re.sub(r"(?<=\d)\.(?=\d)", "-", name) if kind == "studies" else name
+    return _NAME.fullmatch(words) is not None
 
 
 def registered() -> dict[tuple[str, str], Any]:
