@@ -256,3 +256,21 @@ def test_an_optimizer_that_does_not_say_why_it_stopped_is_refused(
     assert "NoReason._minimise must be a sentence that says why it stopped. Got None" in said
     registry._registered["optimizers"].pop("no-reason", None)
     sys.modules.pop(file.stem, None)
+
+
+QUICK = ("diagnose", "torque-arm", "--quick", "--hide", "joint_armature:elbow=0.01", "--quiet")
+
+
+def test_a_regression_says_which_effects_it_does_not_look_for(cart: Path) -> None:
+    """Those of plug-ins, where there are any; else nothing is said."""
+    part = cart.parent / "own_drag_of_the_test.py"
+    said = []
+    for out, options in (("without", []), ("with", ["--plugin", str(part)])):
+        assert main([*QUICK, *options, "--out", str(cart.parent / out)]) == 0
+        kept = json.loads((cart.parent / out / "diagnosis.json").read_text())
+        said.append([text for text in kept["warnings"] if "own_drag" in text])
+    expected = (
+        "The effects of plug-ins are not looked for by regression: own_drag. A search by simulation"
+        " (without --quick) does."
+    )
+    assert said == [[], [expected]]

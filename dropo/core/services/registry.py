@@ -316,6 +316,26 @@ def names(kind: str) -> list[str]:
     return sorted({*BUILT_IN[kind], *_outside(kind), *_registered[kind]})
 
 
+def plugin_names(kind: str) -> list[str]:
+    """List the names of one kind that are not built in, sorted.
+
+    Parameters
+    ----------
+    kind : str
+        One of `kinds()`.
+
+    Returns
+    -------
+    list of str
+
+    Raises
+    ------
+    UnknownName
+        If there is no such kind.
+    """
+    return [name for name in names(kind) if name not in BUILT_IN[kind]]
+
+
 def find(kind: str, name: str) -> Any:
     """Import a plug-in by its name.
 

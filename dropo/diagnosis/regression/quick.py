@@ -17,6 +17,7 @@ from dropo.core.numerics.tails import student_tail
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.blas_threads import one_blas_thread
 from dropo.core.services.errors import BadArgument
+from dropo.core.services.registry import plugin_names
 from dropo.core.services.validation import Array, require
 from dropo.diagnosis.findings.premises.chattering import chattering_sentences
 from dropo.diagnosis.findings.premises.still import still_sentences
@@ -175,6 +176,7 @@ class QuickDiagnose:
         still = still_sentences(problem)
         warnings = [*problem.warnings, *still, *chattering]
         warnings += _warnings(simulator, estimate, bool(causes))
+        warnings += _not_looked_for(simulator)
         if free and GAIN not in estimate.solution.chosen:
             warnings.append(
                 "No motion tells the scale of all forces: the drives' gain is taken as it is."
@@ -604,6 +606,23 @@ def _warnings(simulator: RobotSimulator, estimate: Missing, causes: bool) -> lis
                 "are too small."
             )
     return found
+
+
+def _not_looked_for(simulator: RobotSimulator) -> list[str]:
+    """That effects of plug-ins, which the robot could have, are unknown to the regression."""
+    fixed = [instance for instance, _ in simulator.fixed]
+    own = {instance.effect for instance in (*simulator.effects, *fixed)}
+    unknown = [
+        name
+        for name in plugin_names("effects")
+        if name not in own and instances_of(simulator.effect_context, name)
+    ]
+    if not unknown:
+        return []
+    return [
+        f"The effects of plug-ins are not looked for by regression: {', '.join(unknown)}. A search"
+        " by simulation (without --quick) does."
+    ]
 
 
 def _fitter(simulator: RobotSimulator, equation: Equation, settings: QuickSettings) -> Fitter:
