@@ -187,7 +187,7 @@ def _plug_ins_are_forgotten():
     """What the tests of a file register is no part of what the next file lists or records."""
     from dropo.core.services import plugin_files, registry
 
-    kept = (plugin_files._loaded, plugin_files._sums)
+    kept = (plugin_files._loaded, plugin_files._sums, plugin_files._parts)
     before = {kind: dict(plugins) for kind, plugins in registry._registered.items()}
     files_before = [dict(files) for files in kept]
     yield

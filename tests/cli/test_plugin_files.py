@@ -4,12 +4,14 @@ import hashlib
 import json
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from dropo.cli.main import main
+from dropo.core.contracts.effect import instances_of
 from dropo.core.services import plugin_files, registry
 from dropo.core.services.errors import BadFile
 from dropo.core.services.plugin_files import load_plugins
@@ -160,6 +162,43 @@ def test_a_problem_file_names_its_parts(cart: Path, capsys: pytest.CaptureFixtur
     written = write_problem(problem, cart.parent / "elsewhere")
     assert "plugins:\n- ../own_drag_of_the_test.py" in written.read_text()
     assert [own.effect for own, _ in load(written).simulator.fixed] == ["own_drag"]
+
+
+def forget() -> None:
+    """As in a new process, no file was run."""
+    registry._registered["effects"].pop("own_drag", None)
+    sys.modules.pop("own_drag_of_the_test", None)
+    plugin_files._loaded.clear()
+
+
+def test_a_written_problem_names_the_files_that_its_effects_need(
+    cart: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Also where the command line gave them: no file of another part, none twice, and none where
+    there is no such effect.
+    """
+    folder = cart.parent
+    cart.write_text(TEXT)
+    (folder / "other_of_the_test.py").write_text(
+        "import dropo\n\ndropo.register('families', 'other', print)\n"
+    )
+    for part in ("own_drag_of_the_test.py", "other_of_the_test.py"):
+        load_plugins(folder / part)
+    plain = load(cart)
+    (drag,) = instances_of(plain.simulator.effect_context, "own_drag", "slide")
+    found = replace(plain, simulator=plain.simulator.with_effects((), [(drag, np.array([0.5]))]))
+    assert "plugins" not in write_problem(plain, folder / "plain").read_text()
+    written = write_problem(found, folder / "runs" / "extended")
+    expected = "plugins:\n- ../../own_drag_of_the_test.py\n"
+    assert expected in written.read_text()
+    again = write_problem(load(written), folder / "runs" / "again")
+    assert expected in again.read_text()
+    forget()
+    command = ["fit", str(written), "--method", "least-squares", "--quiet"]
+    assert main(command) == 2
+    assert "own_drag_of_the_test.py' is Python code, which runs only" in capsys.readouterr().err
+    assert main([*command, "--trust"]) == 0
+    sys.modules.pop("other_of_the_test", None)
 
 
 def test_a_file_that_the_caller_names_needs_no_other_trust(cart: Path) -> None:

@@ -14,6 +14,8 @@ from dropo.core.services.registry import registered
 
 _sums: dict[str, str] = {}
 _loaded: dict[Path, str] = {}
+_parts: dict[tuple[str, str], Path] = {}
+"""The file whose import registered a part, by kind and name."""
 
 
 def load_plugins(path: str | Path, key: str = "--plugin") -> list[str]:
@@ -54,6 +56,7 @@ def load_plugins(path: str | Path, key: str = "--plugin") -> list[str]:
         rule = "a call of dropo.register(kind, name, plugin)"
         raise BadFile(file, key, rule, "none when it was imported")
     _sums[file.name] = _loaded[file.resolve()] = _sum(file)
+    _parts.update(dict.fromkeys(new, file.resolve()))
     return [f"{kind}: {name}" for kind, name in sorted(new)]
 
 
@@ -81,6 +84,23 @@ def loaded_files() -> list[Path]:
         In the order in which they were run.
     """
     return list(_loaded)
+
+
+def file_of(kind: str, name: str) -> Path | None:
+    """Find the plug-in file that registered a part in this process.
+
+    Parameters
+    ----------
+    kind, name : str
+        As of `register`.
+
+    Returns
+    -------
+    Path or None
+        None where no such file did.
+    """
+    path = _parts.get((kind, name))
+    return path if path in _loaded else None
 
 
 def plugin_sums() -> dict[str, str]:

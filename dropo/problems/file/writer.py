@@ -1,5 +1,6 @@
 """A problem as files that `load` reads: problem.yaml, the model as MJCF, the data."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.files.atomic_write import write_npz, write_text
 from dropo.core.services.files.strict_yaml import format_yaml
+from dropo.core.services.plugin_files import file_of
 from dropo.core.services.validation import Array
 from dropo.mjmodel.fields import FieldParameter
 from dropo.problems.file.effects import make_effect_entry
@@ -32,7 +34,7 @@ def write_problem(
     """Write problem.yaml, model.xml and data.npz (held_out.npz) into a folder.
 
     Effects that change the model's numbers stand in model.xml, which keeps about six digits; the
-    others under `effects`.
+    others under `effects`, and the plug-in files that they need under `plugins`.
 
     Parameters
     ----------
@@ -106,8 +108,9 @@ def _make_content(
         content["effects"] = effects
     if problem.task is not None and problem.task.source is not None:
         content["task"] = locate_from(problem.task.source, folder)
-    if problem.plugins:
-        content["plugins"] = places_from(problem.plugins, folder)
+    plugins = _plugins_of(problem, [entry.effect for entry in effects])
+    if plugins:
+        content["plugins"] = places_from(plugins, folder)
     if problem.held_out is not None:
         content["held_out"] = "held_out.npz"
     return content
@@ -144,6 +147,12 @@ def _make_effects(simulator: MujocoSimulator) -> list[EffectEntry]:
         if not is_in_model(instance)
     ]
     return [*fitted, *present]
+
+
+def _plugins_of(problem: Problem, effects: Sequence[str]) -> tuple[str, ...]:
+    """The files of the problem's own parts, and of effects that it has been given since."""
+    files = [file_of("effects", name) for name in effects]
+    return tuple(dict.fromkeys([*problem.plugins, *(str(file) for file in files if file)]))
 
 
 def write_data(data: Trajectories, path: Path) -> None:
