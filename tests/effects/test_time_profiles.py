@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dropo.core.contracts.problem import Problem
-from dropo.core.contracts.support.time_profile import place_in_data
+from dropo.core.contracts.support.time_profile import place_in_data, sets_in_at_an_end
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.registry import find
 from dropo.problems.file.writer import write_problem
@@ -47,6 +47,21 @@ def test_setting_in(shift, first):
     assert np.array_equal(found[:first], without[:first])
     assert np.array_equal(found[first:], whole[first:])
     assert not np.array_equal(without[first:], whole[first:])
+
+
+@pytest.mark.parametrize(
+    ("label", "magnitudes", "at_an_end"),
+    [
+        (f"{PAYLOAD}.from", (0.4, -0.449), True),
+        (f"{PAYLOAD}.from", (0.4, 0.45), True),
+        (f"{PAYLOAD}.from", (0.4, -0.4), False),
+        (f"{PAYLOAD}.ramp", (0.45,), False),
+        ("body_mass:upper", (0.45,), False),
+    ],
+)
+def test_a_moment_on_its_bound_is_told(label, magnitudes, at_an_end):
+    """Of what sets in alone; a size may be as large as it likes."""
+    assert sets_in_at_an_end(instance(arm(), label), np.array(magnitudes)) == at_an_end
 
 
 def base(robot):

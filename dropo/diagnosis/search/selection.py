@@ -31,6 +31,7 @@ import numpy as np
 
 from dropo.core.contracts.effect import EffectInstance
 from dropo.core.contracts.estimator import Progress, silent
+from dropo.core.contracts.support.time_profile import sets_in_at_an_end
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import SimulationFailed
 from dropo.core.services.files.evaluation_log import EvaluationLog
@@ -304,6 +305,8 @@ class Selection:
         with_less_noise: list[Trial] = []
         for trial in trials:
             if trial.fitted_gain <= settings.minimum_fitted_gain:
+                continue
+            if sets_in_at_an_end(trial.candidate.instance, trial.magnitudes):
                 continue
             if is_confirmed(state.test, trial.state.test, needed_gain, settings):
                 confirmed.append(trial)

@@ -87,6 +87,15 @@ def test_trials_that_a_wrong_noise_holds_up_are_fitted_to_the_end(monkeypatch, s
     ) == (["damping"], trials)
 
 
+def test_what_sets_in_at_an_end_of_the_data_is_not_taken(monkeypatch):
+    """However much it explains; the control is what is taken where nothing sets in."""
+    search, first = selection(measured({"damping": 0.2}))
+    assert search.step(first, instances(), first) is not None
+    at_an_end = "dropo.diagnosis.search.selection.sets_in_at_an_end"
+    monkeypatch.setattr(at_an_end, lambda instance, magnitudes: True)
+    assert search.step(first, instances(), first) is None
+
+
 def test_noise_is_learned():
     """sigma within 10 % where the guess was twice too large (500 numbers on each side: four
     standard errors are 13 %).

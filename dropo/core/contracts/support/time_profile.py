@@ -12,6 +12,8 @@ from dropo.core.services.validation import Array
 
 ONSET = Quantity("moment", "1", -0.45, 0.45, (-0.25, 0.25), smooth=False, base=0.5)
 """The time at which an effect sets in, as a fraction of the data, less 0.5."""
+EDGE = 0.01
+"""An effect that sets in nearer to the bounds of `ONSET` has no data without it, or with it."""
 HOOKS = (
     "model",
     "command",
@@ -67,6 +69,28 @@ def set_in(segments: Segments, magnitudes: Array) -> Array:
         0 before that moment and 1 from then on.
     """
     return (place_in_data(segments) >= ONSET.base + magnitudes[-1]).astype(float)
+
+
+def sets_in_at_an_end(instance: EffectInstance, magnitudes: Array) -> bool:
+    """Say whether an effect that sets in does so where hardly any data are on one side.
+
+    Such a moment is on its bound: what is always there, or stands for something in a few rows.
+
+    Parameters
+    ----------
+    instance : EffectInstance
+        Any.
+    magnitudes : (q,) array
+        Its magnitudes.
+
+    Returns
+    -------
+    bool
+        False of an effect that does not set in.
+    """
+    if instance.time_profile is not set_in:
+        return False
+    return bool(abs(magnitudes[-1]) > ONSET.high - EDGE)
 
 
 def ramp(segments: Segments, magnitudes: Array) -> Array:
