@@ -15,6 +15,7 @@ from dropo.core.contracts.effect import instances_of
 from dropo.core.services import plugin_files, registry
 from dropo.core.services.errors import BadFile
 from dropo.core.services.plugin_files import load_plugins
+from dropo.logs.readers.reader import open_log
 from dropo.problems.file.writer import write_problem
 from dropo.problems.loading import load
 from tests.models.problem_files import TEXT, XML, simulate
@@ -162,6 +163,21 @@ def test_a_problem_file_names_its_parts(cart: Path, capsys: pytest.CaptureFixtur
     written = write_problem(problem, cart.parent / "elsewhere")
     assert "plugins:\n- ../own_drag_of_the_test.py" in written.read_text()
     assert [own.effect for own, _ in load(written).simulator.fixed] == ["own_drag"]
+
+
+def test_what_is_not_known_without_its_file_says_so(
+    cart: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """An effect of a problem file, and a log of an unknown ending."""
+    cart.write_text(TEXT + KEYS.replace("plugins: [own_drag_of_the_test.py]", ""))
+    assert main(["fit", str(cart), "--method", "least-squares"]) == 2
+    said = capsys.readouterr().err
+    assert "effects[0].effect: expected an effect (the nearest is" in said
+    assert f"got 'own_drag'. {registry.HINT}" in said
+    log = cart.parent / "log.tlm"
+    log.write_text("1 2 3")
+    with pytest.raises(BadFile, match=r"a file '.tlm'. One of your own needs its file: --plugin"):
+        open_log(log)
 
 
 def forget() -> None:

@@ -29,11 +29,13 @@ class BadFile(InvalidInput):
         The entry's keys from the top of the file, joined by dots; empty for the whole file.
     expected, got : str
         What had to stand there, and what stands there.
+    hint : str
+        A sentence that says what else to do, else "".
     """
 
-    def __init__(self, path: object, key: str, expected: str, got: object):
+    def __init__(self, path: object, key: str, expected: str, got: object, hint: str = ""):
         where = f"{path}: {key}" if key else f"{path}"
-        super().__init__(f"{where}: expected {expected}, got {got}.")
+        super().__init__(f"{where}: expected {expected}, got {got}. {hint}".rstrip())
         self.path = path
         self.key = key
 

@@ -12,8 +12,8 @@ from functools import cache
 from importlib.metadata import entry_points
 from typing import Any
 
-from dropo.core.services.errors import BadArgument
-from dropo.core.services.validation import known, require
+from dropo.core.services.errors import BadArgument, UnknownName
+from dropo.core.services.validation import known, nearest, require
 
 _EFFECTS = (
     "bodies.body_mass",
@@ -210,6 +210,8 @@ SERVICES = {
 _registered: dict[str, dict[str, Any]] = {kind: {} for kind in BUILT_IN}
 _registered_by: dict[tuple[str, str], str] = {}
 """By kind and name, the module that called `register`."""
+HINT = "One of your own needs its file: --plugin FILE, or `plugins` in a problem file."
+"""What a message about an unknown name ends with."""
 _NAME = re.compile(r"[a-z0-9]+(?:[-_][a-z0-9]+)*")
 
 
@@ -356,7 +358,10 @@ def find(kind: str, name: str) -> Any:
     UnknownName
         If there is none of that name; the message gives the nearest valid one.
     """
-    known(_singular(kind), name, names(kind))
+    valid = names(kind)
+    if name not in valid:
+        said = f"No {_singular(kind)} called {name!r}. {nearest(name, valid)}"
+        raise UnknownName(f"{said} {HINT}")
     if name in _registered[kind]:
         return _registered[kind][name]
     if name in BUILT_IN[kind]:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dropo.core.services.errors import BadFile
-from dropo.core.services.registry import find, names
+from dropo.core.services.registry import HINT, find, names
 
 Arrays = dict[str, NDArray[Any]]
 Progress = Callable[[float, str], None]
@@ -214,7 +214,7 @@ def _reader_name(place: Path) -> str:
     ending = place.suffix.lower().removeprefix(".")
     if ending not in endings:
         expected = f"a log that ends in {', '.join(f'.{name}' for name in endings)}"
-        raise BadFile(place, "", expected, f"a file {place.suffix!r}")
+        raise BadFile(place, "", expected, f"a file {place.suffix!r}", HINT)
     return ending
 
 

@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 
 from dropo.core.contracts.effect import EffectContext, EffectInstance, Quantity, instances_of
+from dropo.core.services.errors import BadFile
 from dropo.core.services.files.file_content import FileContent, describe_options, describe_value
-from dropo.core.services.registry import names
+from dropo.core.services.registry import HINT, names
 from dropo.core.services.validation import Array
 from dropo.effects.law import law_instance
 from dropo.problems.file.schema import EffectEntry, ProblemFile
@@ -86,7 +87,11 @@ def _find_effect(
     file: FileContent[ProblemFile], key: str, entry: EffectEntry, robot: EffectContext
 ) -> EffectInstance:
     """The effect of that name and variant at its place."""
-    name = file.require_known(f"{key}.effect", entry.effect, names("effects"), "an effect")
+    name = entry.effect
+    valid = names("effects")
+    if name not in valid:
+        expected = describe_options("an effect", name, valid)
+        raise BadFile(file.path, f"{key}.effect", expected, describe_value(name), HINT)
     if (name == LAW) != bool(entry.formula):
         expected = "a formula" if name == LAW else f"no formula, which the effect {LAW} has"
         raise file.refusal(f"{key}.formula", expected, describe_value(entry.formula or None))

@@ -10,6 +10,12 @@ from dropo.core.services.errors import BadArgument, BadFile, UnknownName
 from dropo.core.services.plugin_files import load_plugins
 
 
+@pytest.fixture(autouse=True)
+def _fresh_registry(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a test registers is gone after it."""
+    monkeypatch.setattr(registry, "_registered", {kind: {} for kind in registry.BUILT_IN})
+
+
 @pytest.mark.parametrize("name", ["triangle", "random-search", "my_drag", "db3", "7z", "a1-b_2"])
 def test_words_joined_by_hyphens_and_underscores_are_names(name: str) -> None:
     registry.register("families", name, print)
@@ -67,6 +73,18 @@ def test_a_name_belongs_to_the_file_that_registered_it_first(tmp_path: Path) -> 
         load_plugins(second)
     assert registry.find("families", "shared").__module__ == first.stem
     sys.modules.pop(first.stem)
+
+
+@pytest.mark.parametrize(
+    ("name", "nearest"), [("uniforn", "Did you mean 'uniform'?"), ("gumbel", "There is full, ")]
+)
+def test_an_unknown_name_may_be_one_of_the_callers_own(name: str, nearest: str) -> None:
+    """The message says how such a part is found."""
+    with pytest.raises(UnknownName) as found:
+        registry.find("families", name)
+    assert str(found.value).startswith(f"No family called {name!r}. {nearest}")
+    assert str(found.value).endswith(f" {registry.HINT}")
+    assert "--plugin FILE" in registry.HINT
 
 
 def test_there_are_no_other_kinds() -> None:
