@@ -37,12 +37,22 @@ class Optimizer(ABC):
 
     Attributes
     ----------
+    dimension : int
+        m.
+    rng : numpy.random.Generator
+        For all that is random.
+    start : (m,) array
+        Where to begin, inside the box.
+    step : (m,) array
+        Size of the first steps, positive.
+    budget : int
+        Evaluations that it may plan with.
     needs_gradients : bool
         Whether `tell` must get gradients.
     covariance : (m, m) array or None
         Of the points around the best one, in the unit box; None of a method that has none.
     best : tuple of (m,) array and float
-        The point of lowest cost so far, and its cost.
+        The point of lowest cost so far, and its cost; the start and infinity before any is told.
 
     Raises
     ------
