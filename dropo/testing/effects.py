@@ -28,6 +28,7 @@ HOOKS = (
     "command_feedback",
     "force",
     "friction",
+    "applied_force",
     "wrench",
     "model",
     "measurement",
@@ -289,7 +290,7 @@ class _Watch:
     def _shape(self, arguments: tuple[Any, ...]) -> tuple[int, ...] | None:
         """Returns the shape that the hook's result must have; None where any is allowed."""
         first = arguments[0]
-        if self.name in ("model", "sensor_delay"):
+        if self.name in ("model", "sensor_delay", "applied_force"):
             return None
         if self.name == "command_feedback":
             return np.shape(first.ctrl)

@@ -33,6 +33,16 @@ def test_a_valid_effect_passes():
     check(VALID)
 
 
+def known_force(steps, sizes):
+    """A valid hook of forces known beforehand, for the arm's two joints."""
+    return np.full((steps, 2), sizes[0])
+
+
+def test_forces_known_beforehand_are_a_hook():
+    """An effect may have this one alone."""
+    check(replace(VALID, force=None, applied_force=known_force))
+
+
 def test_an_effect_without_a_place_is_not_checked():
     """Nothing is offered for the arm: silence would say that it keeps to the contract."""
     with pytest.raises(AssertionError, match=r"offers no instance .* nothing was checked"):
