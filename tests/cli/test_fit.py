@@ -19,6 +19,7 @@ from dropo.cli.support.output import STOPPING
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.fits.fit import Fit
 from dropo.core.services.files.evaluation_log import read_log
+from dropo.core.services.registry import HINT
 from dropo.core.services.tables import estimate
 from dropo.problems.loading import load
 from dropo.studies.unlogged_states.machines import ARM, simulate_log
@@ -196,18 +197,21 @@ def test_the_problem_suggests_settings(problem: Path, monkeypatch: pytest.Monkey
 
 
 REFUSALS = {
-    "unknown method": (["--method", "drop"], "No method called 'drop'. Did you mean 'dropo'?"),
+    "unknown method": (
+        ["--method", "drop"],
+        f"No method called 'drop'. Did you mean 'dropo'? {HINT}",
+    ),
     "unknown optimizer": (
         ["--optimizer", "cma"],
-        "No optimizer called 'cma'. Did you mean 'cma-es'?",
+        f"No optimizer called 'cma'. Did you mean 'cma-es'? {HINT}",
     ),
     "unknown family": (
         ["--family", "uniforn"],
-        "No family called 'uniforn'. Did you mean 'uniform'?",
+        f"No family called 'uniforn'. Did you mean 'uniform'? {HINT}",
     ),
     "unknown likelihood": (
         ["--likelihood", "monte"],
-        "No likelihood called 'monte'. Did you mean 'monte-carlo'?",
+        f"No likelihood called 'monte'. Did you mean 'monte-carlo'? {HINT}",
     ),
     "a setting of another method": (
         ["--method", "least-squares", "--family", "full"],
