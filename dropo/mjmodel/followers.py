@@ -1,11 +1,12 @@
 """Joints that an equality constraint couples to another, as a gripper's second finger."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
+from dropo.core.services.errors import Incompatible
 from dropo.core.services.validation import Array
 from dropo.mjmodel.names import joint_names
 
@@ -97,6 +98,46 @@ def followers_of(model: mujoco.MjModel) -> list[Follower]:
         offset, slope, *higher = polynomial
         if slope and not any(higher):
             found.append(_follower(model, names, second, first, (-offset / slope, 1 / slope)))
+    return found
+
+
+def couplings_of(model: mujoco.MjModel, driven: Collection[int]) -> list[Follower]:
+    """Find one follower of each equality constraint: the joint that no drive moves.
+
+    Parameters
+    ----------
+    model : MjModel
+        The compiled model.
+    driven : collection of int
+        The degrees of freedom at which drives act.
+
+    Returns
+    -------
+    list of Follower
+        None of them leads another.
+
+    Raises
+    ------
+    Incompatible
+        If another equality constraint than one of two hinges or slides is active, if drives act at
+        both joints, or if a joint follows and leads, or follows twice.
+    """
+    pairs: dict[frozenset[int], Follower] = {}
+    for follower in followers_of(model):
+        if follower.dofs[0] not in driven:
+            pairs.setdefault(frozenset(follower.dofs), follower)
+    found = list(pairs.values())
+    active = int(np.count_nonzero(model.eq_active0))
+    if len(found) < active:
+        raise Incompatible(
+            f"The model has {active} active equality constraints, of which {len(found)} couple a "
+            "joint without a drive to one other joint: the forces of the others are not known."
+        )
+    own = [follower.name for follower in found]
+    chained = sorted(set(own).intersection(follower.leader for follower in found))
+    chained += sorted({name for name in own if own.count(name) > 1})
+    if chained:
+        raise Incompatible(f"Joint {chained[0]!r} is coupled to several others, one after another.")
     return found
 
 

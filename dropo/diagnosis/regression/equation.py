@@ -5,7 +5,7 @@ Then both sides of the equation pass a second one, so that no row rests on a raw
 Of machines with a floating base, contact forces are projected out before that.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -25,6 +25,7 @@ from dropo.mjmodel.bodies import moving_bodies
 from dropo.mjmodel.dynamics.body_regressors import inverse_dynamics
 from dropo.mjmodel.dynamics.contact_free import projectors
 from dropo.mjmodel.dynamics.forces import LinearDrives, linear_drives
+from dropo.mjmodel.followers import Follower, couplings_of
 from dropo.mjmodel.joints import Joint, all_joints, dry_frictions, joints, numbers_of
 from dropo.mjmodel.options import physics_step
 from dropo.mjmodel.robot_simulator import RobotSimulator
@@ -119,9 +120,12 @@ class Equation:
     by_gravity : (R, nv, 3) array
         Derivatives of the forces by gravity.
     by_joint : mapping of str to (R, nv, nv) array
-        Of a floating base: the forces, without those of contacts, that a force at each degree of
-        freedom gives: in proportion to its "acceleration", "velocity", "direction", "position" or
-        "drive", or of size "one". Without contacts that are projected out: empty.
+        Of a floating base or of coupled joints: the forces, without those of contacts and of
+        couplings, that a force at each degree of freedom gives: in proportion to its
+        "acceleration", "velocity", "direction", "position" or "drive", or of size "one". Else
+        empty.
+    floating : bool
+        Whether the base is free, and the forces of contacts are projected out.
     used : (R, nv) array of bool
         Whether the row counts for the joint: it moves, nothing touches.
     block : (R,) int array
@@ -129,7 +133,7 @@ class Equation:
     driven : (nv,) array of bool
         Whether an actuator acts there.
     inertia : (nv,) array
-        Of each joint as the model has it [kg, kg m^2]; 0 where contact forces are projected out.
+        Of each joint as the model has it [kg, kg m^2]; 0 of a floating base.
     width : float
         Of the first kernel [s].
     """
@@ -145,6 +149,7 @@ class Equation:
     by_inertia: Array
     by_gravity: Array
     by_joint: Mapping[str, Array]
+    floating: bool
     used: NDArray[np.bool_]
     block: Ints
     driven: NDArray[np.bool_]
@@ -161,7 +166,7 @@ class Equation:
         ----------
         quantity : str
             What it is in proportion to: "acceleration", "velocity", "direction" or "position"; or
-            "one"; of a floating base also "drive".
+            "one"; where `by_joint` has it also "drive".
         dof : int
             Where it acts.
 
@@ -189,7 +194,7 @@ def refuse_unsuitable(simulator: RobotSimulator) -> None:
     ------
     Incompatible
         If a joint is a ball joint or its position is not observed, if the model has equality
-        constraints, or if an actuator's force is not known.
+        constraints that `coupled_joints` refuses, or if an actuator's force is not known.
     """
     model = simulator.model
     if any(joint.kind == "ball" for joint in all_joints(model)):
@@ -202,18 +207,50 @@ def refuse_unsuitable(simulator: RobotSimulator) -> None:
             "A regression over inverse dynamics needs a drive whose force is known: without one, "
             "all forces and masses could be larger by one factor."
         )
-    if model.neq:
-        raise Incompatible(
-            "A regression over inverse dynamics knows no equality constraints, whose forces are "
-            "not known: diagnose without --quick, by simulations, which know them."
-        )
+    following = {follower.name for follower in coupled_joints(simulator)}
     observed = simulator.layout.observed("qpos")
     for joint in all_joints(model):
+        if joint.name in following:
+            continue
         if not observed.issuperset(range(joint.qpos, joint.qpos + len(joint.units("qpos")))):
             raise Incompatible(
                 f"A regression over inverse dynamics needs the position of every joint; that of "
                 f"{joint.name!r} is not observed."
             )
+
+
+def coupled_joints(simulator: RobotSimulator) -> list[Follower]:
+    """Find the joints that follow others by equality constraints.
+
+    Parameters
+    ----------
+    simulator : RobotSimulator
+        The robot.
+
+    Returns
+    -------
+    list of Follower
+        Joints without a drive, whose forces act at their leaders.
+
+    Raises
+    ------
+    Incompatible
+        If there are equality constraints of another kind, or the base is free.
+    """
+    model = simulator.model
+    try:
+        found = couplings_of(model, _drives_at_rest(simulator).dofs.tolist())
+    except Incompatible as error:
+        raise Incompatible(
+            f"A regression over inverse dynamics needs forces that are known. {error} Diagnose "
+            "without --quick, by simulations, which know them."
+        ) from None
+    if found and is_floating(model):
+        raise Incompatible(
+            "A regression over inverse dynamics knows coupled joints on fixed bases alone: "
+            "diagnose without --quick."
+        )
+    return found
 
 
 def is_floating(model: Model) -> bool:
@@ -282,8 +319,11 @@ def equation_of(
     first_block = 0
     model = model_of(simulator)
     delays = _delays(simulator, settings)
+    coupled = coupled_joints(simulator)
     for stretch in stretches:
-        part = _stretch_equation(model, log, stretch, delays, width, second, speed, settings, reach)
+        part = _stretch_equation(
+            model, log, stretch, delays, width, second, speed, settings, reach, coupled
+        )
         block = np.floor(part.pop("time") / length).astype(np.int64)
         part["block"] = first_block + np.unique(block, return_inverse=True)[1]
         first_block = int(part["block"].max()) + 1 if len(block) else first_block
@@ -298,10 +338,13 @@ def equation_of(
     driven[_drives_at_rest(simulator).dofs] = True
     _refuse_nothing(joined["drives"], joined["used"], driven)
     inertia = np.zeros(model.nv)
-    if not joined["by_joint"]:
+    floating = is_floating(model)
+    if not floating:
         for joint in joints(model):
             inertia[joint.qvel] = numbers_of(model, joint).inertia
-    return Equation(**joined, delays=delays, driven=driven, inertia=inertia, width=width)
+    return Equation(
+        **joined, floating=floating, delays=delays, driven=driven, inertia=inertia, width=width
+    )
 
 
 def _refuse_nothing(drives: Array, used: NDArray[np.bool_], driven: NDArray[np.bool_]) -> None:
@@ -348,7 +391,8 @@ class UniformLog:
     Parameters
     ----------
     simulator : RobotSimulator
-        The robot, with n joints' positions (nq,) among its observations.
+        The robot, with n joints' positions (nq,) among its observations, but for those that follow
+        others.
     trajectories : Trajectories
         What was measured.
 
@@ -381,20 +425,27 @@ class UniformLog:
             for i, column in enumerate(simulator.layout.columns)
             if column.field == "qpos"
         }
-        missing = sorted(set(range(model.nq)) - set(place))
+        coupled = coupled_joints(simulator)
+        following = [one for one in coupled if one.places[0] not in place]
+        missing = sorted(set(range(model.nq)) - set(place) - {one.places[0] for one in following})
         if missing:
             raise Incompatible(
                 f"qpos[{missing[0]}] is not observed. A regression over inverse dynamics needs "
                 "every position."
             )
-        columns = [place[i] for i in range(model.nq)]
+        leaders = {one.places[0]: one.places[1] for one in following}
+        columns = [place[leaders.get(i, i)] for i in range(model.nq)]
         self.positions: list[Array] = []
         self.logged: list[Array] = []
         self._simulator = simulator
         for start, stop in trajectories.spans:
             rows = trajectories.observations[start:stop]
             last = trajectories.next_observations[stop - 1 : stop]
-            self.positions.append(self._continued(np.concatenate([rows, last])[:, columns]))
+            positions = np.concatenate([rows, last])[:, columns]
+            for one in following:
+                own, leader = one.places
+                positions[:, own] = one.position(positions[:, leader])
+            self.positions.append(self._continued(positions))
             commands = np.zeros((stop - start + 1, model.nu))
             commands[:-1, simulator.controls] = trajectories.actions[start:stop]
             commands[-1] = commands[-2]
@@ -583,6 +634,7 @@ def _stretch_equation(
     speed: Array,
     settings: EquationSettings,
     reach: int,
+    coupled: Sequence[Follower],
 ) -> dict[str, Any]:
     """The arrays of one stretch, without rows whose kernels reach beyond it."""
     run, start, stop = stretch
@@ -591,12 +643,12 @@ def _stretch_equation(
     position, velocity, acceleration = log.motion(kernels, rows)
     bodies = [body for body, _ in moving_bodies(model)]
     motion = inverse_dynamics(model, position, velocity, acceleration, bodies)
-    drives = linear_drives(model, position, velocity)
     commands = log.commands[run][start:stop]
-    forces = []
-    for delay in delays.tolist():
-        late = apply_kernel(held_kernel(width, log.step, delay), commands)
-        forces.append(drives.forces(late))
+    drives = linear_drives(model, position, velocity)
+    forces = [
+        drives.forces(apply_kernel(held_kernel(width, log.step, delay), commands))
+        for delay in delays.tolist()
+    ]
     noise = log.noise * np.sqrt(np.sum(kernels[1] ** 2))
     still_speed = np.maximum(settings.still * speed, settings.still_noise * noise)
     still_speed = np.maximum(still_speed, settings.stuck)  # of a joint that never moves
@@ -604,7 +656,6 @@ def _stretch_equation(
     # Dry friction acted before the first kernel: it passes that kernel as all other forces did.
     sign = np.tanh(velocity / np.maximum(settings.slow * speed, 1e-300))
     direction = apply_kernel(kernels[0], sign)
-    load = apply_kernel(kernels[0], np.abs(motion.forces) * sign)
 
     smooth = derivative_kernels(second, log.step)[0]
     every = max(1, round(settings.thin * second / log.step))
@@ -615,39 +666,40 @@ def _stretch_equation(
             (len(kept), *values.shape[1:])
         )
 
-    needed = motion.forces + dry_frictions(model) * direction
+    needed = motion.forces
     by_inertia = motion.by_inertia
     by_gravity = motion.by_gravity
-    at_dofs = position[:, [0] * model.nv] * 0.0
-    for joint in log.joints:
-        if joint.quaternion() is None:
-            at_dofs[:, joint.qvel] = position[:, joint.qpos]
+    at_dofs = _at_dofs(log, position)
     by_joint: dict[str, Array] = {}
-    if is_floating(model):
-        free = projectors(model, position, velocity, still, REACH * width)
-        undelayed = forces[int(np.abs(delays).argmin())]
+    rubbing = dry_frictions(model) * direction
+    free = _free_of_constraints(model, coupled, position, velocity, still, REACH * width)
+    if free is not None:
+        own = {
+            "acceleration": acceleration,
+            "velocity": velocity,
+            "direction": direction,
+            "position": at_dofs,
+            "one": np.ones_like(velocity),
+            "drive": forces[int(np.abs(delays).argmin())],
+        }
+        by_joint = {name: thinned(free * values[:, None]) for name, values in own.items()}
         forces = [_projected(free, force) for force in forces]
         needed = _projected(free, needed)
+        rubbing = _projected(free, rubbing)
         by_inertia = np.stack([free @ one for one in by_inertia])
         by_gravity = free @ by_gravity
-        for name, own in (
-            ("acceleration", acceleration),
-            ("velocity", velocity),
-            ("direction", direction),
-            ("position", at_dofs),
-            ("one", np.ones_like(velocity)),
-            ("drive", undelayed),
-        ):
-            by_joint[name] = thinned(free * own[:, None])
+    if free is not None and is_floating(model):
         used = thinned(np.diagonal(free, axis1=1, axis2=2)) > settings.share
     else:
         touches = thinned((~motion.free).astype(float)[:, None])
         used = (thinned(still.astype(float)) < settings.sticks) & (touches < 1e-6)
+        used[:, [follower.dofs[0] for follower in coupled]] = False
+    load = apply_kernel(kernels[0], np.abs(needed) * sign)
     shape = (0, len(kept), model.nv, 10)
     thin_inertia = [thinned(one) for one in by_inertia]
     return {
         "drives": np.stack([thinned(force) for force in forces]),
-        "needed": thinned(needed),
+        "needed": thinned(needed + rubbing),
         "position": thinned(at_dofs),
         "velocity": thinned(velocity),
         "acceleration": thinned(acceleration),
@@ -659,6 +711,40 @@ def _stretch_equation(
         "used": used,
         "time": kept * log.step,
     }
+
+
+def _at_dofs(log: UniformLog, position: Array) -> Array:
+    """(n, nv) the positions of joints at their degrees of freedom, 0 of a free base."""
+    found = np.zeros((len(position), log.nv))
+    for joint in log.joints:
+        if joint.quaternion() is None:
+            found[:, joint.qvel] = position[:, joint.qpos]
+    return found
+
+
+def _free_of_constraints(
+    model: Model,
+    coupled: Sequence[Follower],
+    position: Array,
+    velocity: Array,
+    still: NDArray[np.bool_],
+    time: float,
+) -> Array | None:
+    """(n, nv, nv) what takes contacts out of forces, or couplings; None where there are none.
+
+    A coupling's forces do no work: those at a follower act at its leader, by its speed in that of
+    the leader.
+    """
+    if is_floating(model):
+        return projectors(model, position, velocity, still, time)
+    if not coupled:
+        return None
+    found = np.tile(np.eye(position.shape[1]), (len(position), 1, 1))
+    for one in coupled:
+        own, leader = one.dofs
+        found[:, own, own] = 0.0
+        found[:, leader, own] = one.slope(position[:, one.places[1]])
+    return found
 
 
 def _projected(free: Array, forces: Array) -> Array:

@@ -135,7 +135,7 @@ class Missing:
             least = np.inf if self.at_bound(i) else term.least * (1 + solution.gain)
             # Beside a payload the scale of all forces may be uncertain; a large force is there.
             large = solution.payload is not None and shares[i] > self.large
-            large = large and not self.fitter.equation.by_joint
+            large = large and not self.fitter.equation.floating
             if large and abs(size.value) > least:
                 least = -np.inf
             add(i, (term.effect, term.target, term.variant), least, **{term.quantity: size})

@@ -31,7 +31,12 @@ from dropo.diagnosis.regression.contacts import (
     find_friction,
     knows_starts,
 )
-from dropo.diagnosis.regression.equation import Equation, EquationSettings, equation_of
+from dropo.diagnosis.regression.equation import (
+    Equation,
+    EquationSettings,
+    coupled_joints,
+    equation_of,
+)
 from dropo.diagnosis.regression.fit import GAIN, FitSettings, Fitter, Solution, root_mean_square
 from dropo.diagnosis.regression.missing import FoundNumber, Missing, values_of
 from dropo.diagnosis.regression.readings import sides
@@ -264,7 +269,7 @@ class QuickDiagnose:
         self, simulator: RobotSimulator, fitted: Trajectories, estimate: Missing
     ) -> FoundFriction | None:
         """The friction of contacts, where the base is free and another one than the model's."""
-        if not estimate.fitter.equation.by_joint or not knows_starts(simulator):
+        if not estimate.fitter.equation.floating or not knows_starts(simulator):
             return None
         settings = self.settings
         found = find_friction(simulator, fitted, settings.bias, settings.contacts)
@@ -296,7 +301,8 @@ class QuickDiagnose:
             after = replace(nothing, delay=alone.delay)
         left = np.where(equation.used, fitter.residuals(after), np.nan)
         force = root_mean_square(fitter.forces(solution.delay))
-        own = joints(simulator.model)
+        following = {follower.name for follower in coupled_joints(simulator)}
+        own = [joint for joint in joints(simulator.model) if joint.name not in following]
         dofs = [joint.qvel for joint in own]
         rows = zip(
             own,
@@ -351,7 +357,7 @@ class QuickDiagnose:
         The same is left where the truth is known: in motions that are simulated.
         """
         doubtful = [joint for joint in forces if self._is_left(joint)]
-        floating = estimate.fitter.equation.by_joint
+        floating = estimate.fitter.equation.floating
         again = None
         if doubtful and not floating:
             simulator = robot_of(extended)
@@ -473,7 +479,7 @@ def _with_bias(
     """
     simulator = robot_of(problem)
     solution = estimate.solution
-    if estimate.fitter.equation.by_joint or not solution.terms:
+    if estimate.fitter.equation.floating or not solution.terms:
         return estimate
     extended = simulator.with_effects((), fixed_numbers(simulator, estimate))
     again = resimulated(extended, trajectories, settings.resimulation)
@@ -592,15 +598,21 @@ def _warnings(simulator: RobotSimulator, estimate: Missing, causes: bool) -> lis
         written = instance.model is not None and not instance.general
         if not (written or instance.command or instance.actuation):
             found.append(f"{instance.label} of the simulator is not known to the regression.")
-    if estimate.fitter.equation.by_joint:
+    if estimate.fitter.equation.floating:
         looked_for = "" if knows_starts(simulator) else ", without velocities their friction too"
         found.append(
             "The base is free: contact forces are unknown and projected out, and what they alone "
             f"show, as how soft the ground is, is not looked for{looked_for}."
         )
     driven = estimate.fitter.equation.driven
+    leaders = {follower.name: follower.leader for follower in coupled_joints(simulator)}
     for joint in joints(simulator.model):
-        if not driven[joint.qvel]:
+        if joint.name in leaders:
+            found.append(
+                f"{joint.name!r} follows {leaders[joint.name]!r}: a rotor, friction or a spring at "
+                "either is told as one of the latter."
+            )
+        elif not driven[joint.qvel]:
             found.append(
                 f"No drive acts at {joint.name!r}: what is found there is rough, and its errors "
                 "are too small."

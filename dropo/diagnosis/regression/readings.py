@@ -20,6 +20,7 @@ from dropo.core.services.validation import Array
 from dropo.diagnosis.regression.equation import (
     EquationSettings,
     UniformLog,
+    coupled_joints,
     is_floating,
     model_of,
     refuse_unsuitable,
@@ -193,6 +194,8 @@ class Readings:
         refuse_unsuitable(simulator)
         if is_floating(simulator.model):
             raise Incompatible("Readings of columns are compared on fixed bases alone.")
+        if coupled_joints(simulator):
+            raise Incompatible("Readings of columns are compared where no joint follows another.")
         self.model = model_of(simulator)
         self.joints: list[Joint] = joints(self.model)
         fitted, checked = UniformLog(simulator, self.fitted), UniformLog(simulator, self.checked)

@@ -7,7 +7,7 @@ import numpy as np
 
 from dropo.core.contracts.effect import Model
 from dropo.core.services.validation import Array
-from dropo.diagnosis.regression.equation import Equation, model_of
+from dropo.diagnosis.regression.equation import Equation, coupled_joints, model_of
 from dropo.mjmodel.bodies import body_masses, inertia_matrix, mass_centre, moving_bodies
 from dropo.mjmodel.dynamics.body_regressors import point_mass
 from dropo.mjmodel.dynamics.drives import feedback_at
@@ -86,9 +86,11 @@ def terms_of(simulator: RobotSimulator, equation: Equation) -> list[Term]:
     """
     model = model_of(simulator)
     found: list[Term] = []
+    following = {follower.name for follower in coupled_joints(simulator)}
     for joint in joints(model):
-        found += _joint_terms(model, joint, equation)
-    if equation.by_joint:  # the weight of a free base fixes the scale of each drive
+        if joint.name not in following:  # what it has acts at its leader as if that had it
+            found += _joint_terms(model, joint, equation)
+    if equation.floating:  # the weight of a free base fixes the scale of each drive
         found += _gain_terms(model, equation)
     else:
         found += _own_gain_terms(model, equation)
@@ -171,7 +173,7 @@ def _joint_terms(model: Model, joint: Joint, equation: Equation) -> list[Term]:
             variant="rest",
         ),
     ]
-    if equation.driven[dof] and not equation.by_joint:  # what contacts load is not known
+    if equation.driven[dof] and not equation.floating:  # what contacts load is not known
         load = np.zeros_like(equation.load)
         load[:, dof] = equation.load[:, dof]
         share = term(

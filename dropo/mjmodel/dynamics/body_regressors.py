@@ -71,6 +71,8 @@ def inverse_dynamics(
 ) -> InverseDynamics:
     """Compute the forces that a motion of hinges and slides needs, and their derivatives.
 
+    Those of equality constraints are not among them.
+
     Parameters
     ----------
     model : MjModel
@@ -87,6 +89,7 @@ def inverse_dynamics(
     InverseDynamics
     """
     without_friction = _without_dry_friction(model)
+    without_friction.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_EQUALITY)
     data = mujoco.MjData(without_friction)
     n, nv = velocities.shape
     forces = np.empty((n, nv))
