@@ -6,6 +6,7 @@ import numpy as np
 
 from dropo.core.contracts.effect import instances_of
 from dropo.diagnosis.far_off.model import FarOffModel, reaching
+from dropo.diagnosis.regression.equation import coupled_joints
 from dropo.diagnosis.search.library import declared, robot_of
 
 EVERYWHERE = (None, "hinges", "slides")
@@ -14,6 +15,8 @@ EVERYWHERE = (None, "hinges", "slides")
 
 def with_families(model: FarOffModel, names: Sequence[str]) -> FarOffModel:
     """Add effects at every place where the model neither has nor declares them.
+
+    Joints that follow others by an equality constraint are no places.
 
     Parameters
     ----------
@@ -29,12 +32,14 @@ def with_families(model: FarOffModel, names: Sequence[str]) -> FarOffModel:
         same object where there is nothing to add.
     """
     simulator = robot_of(model.problem)
+    # What a joint has that follows another acts there as if that had it.
+    elsewhere = {*EVERYWHERE, *(follower.name for follower in coupled_joints(simulator))}
     for name in names:
         taken = {instance.label for instance, _ in model.numbers}
         family = [
             instance
             for instance in instances_of(simulator.effect_context, name)
-            if instance.target not in EVERYWHERE
+            if instance.target not in elsewhere
             and not instance.variant
             and instance.label not in taken
             and not declared(simulator, instance, model.free)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from dropo.diagnosis.far_off.families import with_families
+from tests.models.coupled_wrist import coupled_wrist_problem
 from tests.models.far_off import torque_arm
 
 
@@ -46,3 +47,10 @@ def test_declared_parameters_are_not_doubled():
     assert len(labels(with_families(arm, ["body_mass"]))) == 2
     free = replace(arm, free=np.arange(2))
     assert with_families(free, ["body_mass"]) is free
+
+
+def test_a_joint_that_follows_another_is_no_place():
+    """What it has acts at its leader as if that had it."""
+    wrist = torque_arm(problem=coupled_wrist_problem(1, runs=2, count=40))
+    found = with_families(wrist, ["joint_damping"])
+    assert labels(found) == ["joint_damping:lift", "joint_damping:pitch"]
