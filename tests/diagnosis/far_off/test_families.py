@@ -53,4 +53,4 @@ def test_a_joint_that_follows_another_is_no_place():
     """What it has acts at its leader as if that had it."""
     wrist = torque_arm(problem=coupled_wrist_problem(1, runs=2, count=40))
     found = with_families(wrist, ["joint_damping"])
-    assert labels(found) == ["joint_damping:lift", "joint_damping:pitch"]
+    assert labels(found) == ["joint_damping:pitch", "joint_damping:lift"]
