@@ -388,7 +388,7 @@ class Diagnose:
             if further is not None:
                 return self._result(task, *further, progress)
             setup = replace(setup, sought=True)
-        worse = self._worse(of_each, searched)
+        worse = self._worse(of_each, searched, setup.problem)
         far_off = setup.explained is not None
         if worse and not far_off and len(setup.worse) < self.settings.horizons.refused:
             further = without_worse(setup, searched, *next(iter(worse.items())))
@@ -603,17 +603,21 @@ class Diagnose:
         few = self.settings.each
         return after, after_horizons(data, library, [*thetas, *withouts], last, rng, few)
 
-    def _worse(self, after: Sequence[AfterHorizon], searched: SearchedEffects) -> dict[str, Leader]:
-        """The effects with which errors after some horizon are larger than without, by label.
+    def _worse(
+        self, after: Sequence[AfterHorizon], searched: SearchedEffects, problem: Problem
+    ) -> dict[str, Leader]:
+        """The effects with which errors of what is measured are larger after some horizon than
+        without, by label.
 
         after: of the model as it came, with its parameters fitted, with everything, and without
         each effect; of the first three alone where the search was interrupted.
         """
         if searched.interrupted or not after:
             return {}
+        measured = are_measured(problem)
         found = []
         for i, instance in enumerate(searched.last.accepted):
-            beyond = worse_after(after, 3 + i, 2, self.settings.horizons)
+            beyond = worse_after(after, 3 + i, 2, self.settings.horizons, measured=measured)
             if beyond is not None:
                 found.append((instance, beyond))
         found.sort(key=lambda one: -one[1].score)

@@ -82,6 +82,8 @@ def worse_after(
     without: int,
     model: int,
     settings: EveryHorizonSettings = SETTINGS,
+    *,
+    measured: NDArray[np.bool_] | None = None,
 ) -> Beyond | None:
     """Say after which horizon a model's errors are larger than those of another.
 
@@ -93,6 +95,8 @@ def worse_after(
         Which of the models; that without an effect, and that with it.
     settings : EveryHorizonSettings
         When they are larger.
+    measured : (p,) bool array, optional
+        Which signals count; all if None.
 
     Returns
     -------
@@ -100,7 +104,7 @@ def worse_after(
         Where it stands out most.
     """
     largest: list[Beyond] = []
-    for after in found:
+    for after in _of_signals(found, measured):
         limits = {unit: value for unit, _, value in _lines(after, after.by_noise)}
         before = _lines(after, after.errors[[without]])
         for (unit, old, size), (_, new, _) in zip(
@@ -143,8 +147,7 @@ def beyond_noise(
     tuple of Beyond
         One for each horizon where they are, of the unit that stands out most.
     """
-    if measured is not None:
-        found = [replace(after, spread=np.where(measured, after.spread, 0.0)) for after in found]
+    found = _of_signals(found, measured)
     larger = {}
     for after in found:
         if after.steps == usual:
@@ -173,6 +176,15 @@ def beyond_noise(
         if of_horizon:
             worst.append(max(of_horizon, key=lambda one: one.score))
     return tuple(worst)
+
+
+def _of_signals(
+    found: Sequence[AfterHorizon], counted: NDArray[np.bool_] | None
+) -> Sequence[AfterHorizon]:
+    """Every horizon, with the signals that count (p,) alone; all if None."""
+    if counted is None:
+        return found
+    return [replace(after, spread=np.where(counted, after.spread, 0.0)) for after in found]
 
 
 def in_words(found: Sequence[Beyond]) -> str:

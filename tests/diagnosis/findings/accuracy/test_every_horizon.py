@@ -122,6 +122,18 @@ def test_an_effect_that_makes_errors_larger_is_told():
     assert worse_after([after(1, 0.05, 0.0505)], 0, 1) is None
 
 
+def test_errors_of_what_was_estimated_speak_against_no_effect():
+    """An effect that makes those alone larger is kept; the control: where they are measured."""
+    off = np.full(len(SIGNALS), 0.05)
+    worse = off.copy()
+    worse[-1] = 0.1
+    found = [after(20, off, worse)]
+    measured = np.arange(len(SIGNALS)) < len(SIGNALS) - 1
+    assert worse_after(found, 0, 1) is not None
+    assert worse_after(found, 0, 1, measured=~measured) is not None
+    assert worse_after(found, 0, 1, measured=measured) is None
+
+
 def test_motion_that_is_lost_is_lost_for_both():
     """Errors beyond the spread count alike, however large, and so does a simulation that fails; an
     effect with which the motion is lost that was followed makes it worse.
@@ -200,7 +212,8 @@ def test_an_effect_that_makes_some_horizon_worse_is_not_accepted(monkeypatch):
     assert [one.place for one in alone.causes] == ["joint damping at elbow"]
     assert alone.leaders == ()
     grown = [Beyond(20, "rad", 1.5, 2.0)]
-    monkeypatch.setattr(module, "worse_after", lambda *given: grown.pop() if grown else None)
+    beyond = lambda *given, measured: grown.pop() if grown else None
+    monkeypatch.setattr(module, "worse_after", beyond)
     found = diagnose.run(hidden)
     assert "joint_damping" not in [one.effect for one in found.causes]
     (leader, *_) = found.leaders
