@@ -306,8 +306,6 @@ class Selection:
         for trial in trials:
             if trial.fitted_gain <= settings.minimum_fitted_gain:
                 continue
-            if sets_in_at_an_end(trial.candidate.instance, trial.magnitudes):
-                continue
             if is_confirmed(state.test, trial.state.test, needed_gain, settings):
                 confirmed.append(trial)
             elif has_less_noise(state.train, trial.state.train, settings):
@@ -335,9 +333,12 @@ class Selection:
             if self.only_by_feedback(trial.state):
                 continue
             polished = self.polish(trial.state)
+            instance = trial.candidate.instance
+            magnitudes = polished.theta[self.library.indices_of[instance.label]]
+            if sets_in_at_an_end(instance, magnitudes):
+                continue
             if is_confirmed(state.test, polished.test, needed_gain, self.settings):
-                origin = self._last_batch_with(trial.candidate)
-                self.origins[trial.candidate.instance.label] = origin
+                self.origins[instance.label] = self._last_batch_with(trial.candidate)
                 return polished
         return None
 
