@@ -388,7 +388,7 @@ class Diagnose:
             if further is not None:
                 return self._result(task, *further, progress)
             setup = replace(setup, sought=True)
-        worse = self._worse(of_each, searched, setup.problem)
+        worse = self._worse(setup, of_each, searched)
         far_off = setup.explained is not None
         if worse and not far_off and len(setup.worse) < self.settings.horizons.refused:
             further = without_worse(setup, searched, *next(iter(worse.items())))
@@ -604,17 +604,18 @@ class Diagnose:
         return after, after_horizons(data, library, [*thetas, *withouts], last, rng, few)
 
     def _worse(
-        self, after: Sequence[AfterHorizon], searched: SearchedEffects, problem: Problem
+        self, setup: SearchSetup, after: Sequence[AfterHorizon], searched: SearchedEffects
     ) -> dict[str, Leader]:
-        """The effects with which errors of what is measured are larger after some horizon than
-        without, by label.
+        """The effects with which errors after some horizon are larger than without, by label.
+
+        Of a model that is far off, which is fitted to what is measured, that alone counts.
 
         after: of the model as it came, with its parameters fitted, with everything, and without
         each effect; of the first three alone where the search was interrupted.
         """
         if searched.interrupted or not after:
             return {}
-        measured = are_measured(problem)
+        measured = None if setup.explained is None else are_measured(setup.problem)
         found = []
         for i, instance in enumerate(searched.last.accepted):
             beyond = worse_after(after, 3 + i, 2, self.settings.horizons, measured=measured)

@@ -15,7 +15,7 @@ from dropo.core.records.parameters import Parameter, ParameterSpace
 from dropo.core.records.trajectories import Signal
 from dropo.core.services.errors import BadArgument, Incompatible, SimulationFailed, UnknownName
 from dropo.core.services.files.evaluation_log import EvaluationLog
-from dropo.core.services.registry import names
+from dropo.core.services.registry import HINT, names
 from dropo.estimators.dropo import DROPO
 from dropo.families.truncated_gaussian import SD as CUT_SD
 from dropo.likelihoods.emulated import Emulated
@@ -522,7 +522,7 @@ def test_a_simulator_that_diverges_at_the_start_is_refused():
         (
             UnknownName,
             {"likelihood": "emulate"},
-            "No likelihood called 'emulate'. Did you mean 'emulated'?",
+            f"No likelihood called 'emulate'. Did you mean 'emulated'? {HINT}",
         ),
     ],
 )
@@ -535,13 +535,17 @@ def test_unusable_settings_are_refused(error, settings, message):
 @pytest.mark.parametrize(
     ("error", "settings", "message"),
     [
-        (UnknownName, {"optimizer": "cma"}, "No optimizer called 'cma'. Did you mean 'cma-es'?"),
+        (
+            UnknownName,
+            {"optimizer": "cma"},
+            f"No optimizer called 'cma'. Did you mean 'cma-es'? {HINT}",
+        ),
         (
             UnknownName,
             {"family": "gauss"},
             (
                 "No family called 'gauss'. There is full, log_normal, point, "
-                "truncated_gaussian, uniform."
+                f"truncated_gaussian, uniform. {HINT}"
             ),
         ),
         (
