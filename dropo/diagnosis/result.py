@@ -175,9 +175,10 @@ class Diagnosis(Report):
     def stated(self) -> tuple[Cause, ...]:
         """The causes that are stated as such: all where they explain the data, else none.
 
-        Of the others it is only said that what is missing acts like them (`are_stated`).
+        Of the others it is only said that what is missing acts like them (`are_stated`), as of
+        those of a diagnosis that was interrupted.
         """
-        return self.causes if are_stated(self.verdict) else ()
+        return self.causes if are_stated(self.verdict) and not self.interrupted else ()
 
     def alternatives(self) -> list[dict[str, Any]]:
         """The sets of causes that the data cannot tell from the one named.

@@ -124,6 +124,7 @@ def test_what_explains_in_part_is_not_called_the_cause(damped):
     assert "Acts like: joint damping at elbow" in text
     assert "Cause:" not in text
     assert (damped.stated, partly.stated) == (damped.causes, ())
+    assert replace(damped, interrupted=True).stated == ()
 
 
 def test_every_output_states_the_same_causes(damped):
