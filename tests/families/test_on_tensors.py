@@ -2,13 +2,9 @@
 differences confirm.
 """
 
-import math
-
 import numpy as np
 import pytest
-from scipy.stats import triang
 
-from dropo.core.contracts.family import Family, means_and_scales
 from dropo.core.numerics.array_api import plain
 from dropo.core.numerics.standard_distributions import NORMAL, TRUNCATED_NORMAL, UNIFORM
 from dropo.core.records.parameters import Parameter, ParameterSpace
@@ -19,6 +15,7 @@ from dropo.families.full_gaussian import FullGaussian
 from dropo.families.truncated_gaussian import TruncatedGaussian
 from dropo.likelihoods.monte_carlo import MonteCarlo
 from dropo.simulators.differentiable import Pendulum
+from tests.models.triangle import Triangle
 
 torch = pytest.importorskip("torch")
 SPACE = ParameterSpace(
@@ -127,23 +124,6 @@ def test_refusals():
         family.draw(torch.ones(8, dtype=torch.float64), base)
     with pytest.raises(BadArgument, match="'phi' of FullGaussian must be finite"):
         family.draw(torch.full((9,), torch.nan, dtype=torch.float64), base)
-
-
-class Triangle(Family):
-    """Computes with SciPy what it multiplies by phi."""
-
-    def __init__(self, space):
-        super().__init__(space)
-        self.unknowns = means_and_scales(space)
-
-    def _draw(self, phi, base):
-        return self.mean(phi) + self.scale(phi) * (2 * triang.ppf(base, 0.5) - 1)
-
-    def mean(self, phi):
-        return phi[: len(self.space)]
-
-    def sd(self, phi):
-        return self.scale(phi) / math.sqrt(6)
 
 
 class Detached(Triangle):

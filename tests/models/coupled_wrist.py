@@ -4,8 +4,8 @@ import mujoco
 import numpy as np
 
 from dropo.core.contracts.problem import Problem
-from dropo.core.records.trajectories import Trajectories
 from dropo.simulators.mujoco.simulator import MujocoSimulator
+from tests.models.servo_runs import goals_of, logged, simulated
 
 XML = """
 <mujoco>
@@ -51,21 +51,10 @@ def machine() -> MujocoSimulator:
 def coupled_wrist_problem(seed: int, *, runs: int = 3, count: int = 600) -> Problem:
     """Runs of 6 s under sums of sines; the last is held out."""
     rng = np.random.default_rng(seed)
-    time = 0.01 * np.arange(count)
-    goals = np.zeros((runs, count, 2))
-    for frequency in (0.3, 0.7, 1.1, 1.5):
-        phase = rng.uniform(0, 2 * np.pi, (runs, 1, 2))
-        goals += [0.02, 0.25] * np.sin(2 * np.pi * frequency * time[:, None] + phase)
-    goals = (goals * np.minimum(1.0, time)[:, None]).reshape(-1, 2)
-    rest = np.zeros((len(goals), 6))
-    ends = np.arange(len(goals)) % count == count - 1
-    segments = Trajectories(rest, goals, rest, ends).segments(count, every_step=True)
-    after = machine().predict(np.zeros((1, 0)), segments)[0].reshape(runs, count, 6)[..., :2]
-    measured = np.concatenate([np.zeros((runs, 1, 2)), after], axis=1)
+    goals = goals_of([0.02, 0.25], runs, count, rng)
+    measured = simulated(machine(), goals, runs)[..., : len(SIGNALS)]
     measured += rng.normal(0, NOISE, measured.shape)
-    data = Trajectories(
-        measured[:, :-1].reshape(-1, 2), goals, measured[:, 1:].reshape(-1, 2), ends
-    )
+    data = logged(measured, goals)
     spec = mujoco.MjSpec.from_string(XML)
     simulator = MujocoSimulator(spec, [], observation=SIGNALS, frame_skip=5, threads=1)
     return Problem(

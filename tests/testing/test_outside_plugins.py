@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from scipy.stats import t, triang
+from scipy.stats import t
 
-from dropo.core.contracts.family import Family, means_and_scales
 from dropo.core.contracts.optimizer import Optimizer
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.sampled_likelihood import SampledLikelihood
@@ -19,23 +18,7 @@ from dropo.core.records.trajectories import Signal, Trajectories
 from dropo.core.services import registry as catalogue
 from dropo.core.services.errors import UnknownName
 from dropo.testing import check_family, check_likelihood, check_optimizer, check_simulator
-
-
-class Triangle(Family):
-    """Symmetric triangles on mean -+ scale, sd = scale / sqrt(6)."""
-
-    def __init__(self, space):
-        super().__init__(space)
-        self.unknowns = means_and_scales(space)
-
-    def _draw(self, phi, base):
-        return self.mean(phi) + self.scale(phi) * (2 * triang.ppf(base, 0.5) - 1)
-
-    def mean(self, phi):
-        return phi[: len(self.space)]
-
-    def sd(self, phi):
-        return self.scale(phi) / np.sqrt(6)
+from tests.models.triangle import Triangle
 
 
 @dataclass(frozen=True)

@@ -53,19 +53,13 @@ def bounded_minimum(
     low = lowest[moving] * scale
     high = highest[moving] * scale
     rounding = 1e-12 * float(np.abs(aim).max(initial=0.0))
-    value = np.linalg.solve(matrix, aim)
-    if np.all((value >= low - rounding) & (value <= high + rounding)):
-        found[moving] = np.clip(value / scale, lowest[moving], highest[moving])
-        return found
 
     side = np.zeros(len(moving))  # -1 at the lower bound, 1 at the upper, 0 between
     fewest = len(moving) + 1
     patience = PATIENCE
+    free = side == 0
+    value = np.linalg.solve(matrix, aim)
     for _ in range(EXCHANGES):
-        free = side == 0
-        value = np.where(side < 0, low, high)
-        value[free] = 0.0
-        value[free] = np.linalg.solve(matrix[free][:, free], (aim - matrix @ value)[free])
         slope = matrix @ value - aim
         below = value < low - rounding
         above = value > high + rounding
@@ -79,6 +73,10 @@ def bounded_minimum(
             wrong[: np.flatnonzero(wrong)[-1]] = False
         there = above.astype(float) - below.astype(float)
         side = np.where(wrong, np.where(free, there, 0.0), side)
+        free = side == 0
+        value = np.where(side < 0, low, high)
+        value[free] = 0.0
+        value[free] = np.linalg.solve(matrix[free][:, free], (aim - matrix @ value)[free])
     else:
         value = _by_interior_points(matrix, aim, low, high)
     found[moving] = np.clip(value / scale, lowest[moving], highest[moving])

@@ -19,8 +19,10 @@ def deviation(errors: Array) -> Array:
     Returns
     -------
     (p,) array
-        NaN of columns of NaN alone.
+        NaN of columns of NaN alone, and where there are no rows.
     """
+    if not len(errors):
+        return np.full(errors.shape[1:], np.nan)
     count = np.count_nonzero(~np.isnan(errors), axis=0)
     if np.all(count == len(errors)):
         return np.asarray(NORMAL * np.median(np.abs(errors), axis=0))

@@ -12,8 +12,8 @@ from functools import cache
 from importlib.metadata import entry_points
 from typing import Any
 
-from dropo.core.services.errors import BadArgument, UnknownName
-from dropo.core.services.validation import known, nearest, require
+from dropo.core.services.errors import BadArgument
+from dropo.core.services.validation import known, require
 
 _EFFECTS = (
     "bodies.body_mass",
@@ -358,10 +358,7 @@ def find(kind: str, name: str) -> Any:
     UnknownName
         If there is none of that name; the message gives the nearest valid one.
     """
-    valid = names(kind)
-    if name not in valid:
-        said = f"No {_singular(kind)} called {name!r}. {nearest(name, valid)}"
-        raise UnknownName(f"{said} {HINT}")
+    known(_singular(kind), name, names(kind), HINT)
     if name in _registered[kind]:
         return _registered[kind][name]
     if name in BUILT_IN[kind]:

@@ -136,7 +136,7 @@ def nearest(name: object, valid: Iterable[str]) -> str:
     return f"There is {shown}." if options else "There is none."
 
 
-def known(kind: str, name: str, valid: Iterable[str]) -> str:
+def known(kind: str, name: str, valid: Iterable[str], hint: str = "") -> str:
     """Return a name that must be one of the valid ones.
 
     Parameters
@@ -147,6 +147,8 @@ def known(kind: str, name: str, valid: Iterable[str]) -> str:
         The name.
     valid : iterable of str
         The valid names.
+    hint : str
+        A sentence that says what else to do, else "".
 
     Returns
     -------
@@ -160,5 +162,6 @@ def known(kind: str, name: str, valid: Iterable[str]) -> str:
     """
     options = list(valid)
     if name not in options:
-        raise UnknownName(f"No {kind} called {name!r}. {nearest(name, options)}")
+        said = f"No {kind} called {name!r}. {nearest(name, options)}"
+        raise UnknownName(f"{said} {hint}".rstrip())
     return name

@@ -238,6 +238,8 @@ def coupled_joints(simulator: RobotSimulator) -> list[Follower]:
         If there are equality constraints of another kind, or the base is free.
     """
     model = simulator.model
+    if not model.neq:
+        return []
     try:
         found = couplings_of(model, _drives_at_rest(simulator).dofs.tolist())
     except Incompatible as error:
@@ -251,6 +253,23 @@ def coupled_joints(simulator: RobotSimulator) -> list[Follower]:
             "diagnose without --quick."
         )
     return found
+
+
+def independent_joints(simulator: RobotSimulator) -> list[Joint]:
+    """List the joints but for those that follow others (`coupled_joints`).
+
+    Parameters
+    ----------
+    simulator : RobotSimulator
+        The robot.
+
+    Returns
+    -------
+    list of Joint
+        What a follower has acts at its leader as if that had it.
+    """
+    following = {follower.name for follower in coupled_joints(simulator)}
+    return [joint for joint in joints(simulator.model) if joint.name not in following]
 
 
 def is_floating(model: Model) -> bool:
@@ -319,11 +338,8 @@ def equation_of(
     first_block = 0
     model = model_of(simulator)
     delays = _delays(simulator, settings)
-    coupled = coupled_joints(simulator)
     for stretch in stretches:
-        part = _stretch_equation(
-            model, log, stretch, delays, width, second, speed, settings, reach, coupled
-        )
+        part = _stretch_equation(model, log, stretch, delays, width, second, speed, settings, reach)
         block = np.floor(part.pop("time") / length).astype(np.int64)
         part["block"] = first_block + np.unique(block, return_inverse=True)[1]
         first_block = int(part["block"].max()) + 1 if len(block) else first_block
@@ -404,6 +420,8 @@ class UniformLog:
         All joints, free ones too.
     nv : int
         Number of degrees of freedom.
+    followers : list of Follower
+        The joints that follow others.
     positions : list of (T, nq) array
         Of each run [rad, m]; the signs of quaternions do not change from row to row.
     commands : list of (T, nu) array
@@ -425,8 +443,8 @@ class UniformLog:
             for i, column in enumerate(simulator.layout.columns)
             if column.field == "qpos"
         }
-        coupled = coupled_joints(simulator)
-        following = [one for one in coupled if one.places[0] not in place]
+        self.followers = coupled_joints(simulator)
+        following = [one for one in self.followers if one.places[0] not in place]
         missing = sorted(set(range(model.nq)) - set(place) - {one.places[0] for one in following})
         if missing:
             raise Incompatible(
@@ -634,7 +652,6 @@ def _stretch_equation(
     speed: Array,
     settings: EquationSettings,
     reach: int,
-    coupled: Sequence[Follower],
 ) -> dict[str, Any]:
     """The arrays of one stretch, without rows whose kernels reach beyond it."""
     run, start, stop = stretch
@@ -672,7 +689,7 @@ def _stretch_equation(
     at_dofs = _at_dofs(log, position)
     by_joint: dict[str, Array] = {}
     rubbing = dry_frictions(model) * direction
-    free = _free_of_constraints(model, coupled, position, velocity, still, REACH * width)
+    free = _free_of_constraints(model, log.followers, position, velocity, still, REACH * width)
     if free is not None:
         own = {
             "acceleration": acceleration,
@@ -693,7 +710,7 @@ def _stretch_equation(
     else:
         touches = thinned((~motion.free).astype(float)[:, None])
         used = (thinned(still.astype(float)) < settings.sticks) & (touches < 1e-6)
-        used[:, [follower.dofs[0] for follower in coupled]] = False
+        used[:, [follower.dofs[0] for follower in log.followers]] = False
     load = apply_kernel(kernels[0], np.abs(needed) * sign)
     shape = (0, len(kept), model.nv, 10)
     thin_inertia = [thinned(one) for one in by_inertia]
@@ -724,7 +741,7 @@ def _at_dofs(log: UniformLog, position: Array) -> Array:
 
 def _free_of_constraints(
     model: Model,
-    coupled: Sequence[Follower],
+    followers: Sequence[Follower],
     position: Array,
     velocity: Array,
     still: NDArray[np.bool_],
@@ -737,10 +754,10 @@ def _free_of_constraints(
     """
     if is_floating(model):
         return projectors(model, position, velocity, still, time)
-    if not coupled:
+    if not followers:
         return None
     found = np.tile(np.eye(position.shape[1]), (len(position), 1, 1))
-    for one in coupled:
+    for one in followers:
         own, leader = one.dofs
         found[:, own, own] = 0.0
         found[:, leader, own] = one.slope(position[:, one.places[1]])

@@ -311,21 +311,15 @@ class Fitter:
         target : (R, nv) array
             The drives' forces; where there are none, those that nothing of the model explains.
         """
+        driven = self.equation.driven
         scale = self.factors(solution) / solution.beta
-        needed = np.where(self.equation.driven, self.equation.needed, 0.0)
+        needed = np.where(driven, self.equation.needed, 0.0)
         payload = np.zeros_like(needed)
         if solution.payload is not None:
             payload = self.payload_column(solution.payload) * scale
+        target = self.drives(solution.delay) - np.where(driven, 0.0, self.equation.needed)
         columns = self.columns_at(solution.delay, terms)
-        return needed, columns * scale[:, None], payload, self._target(self.drives(solution.delay))
-
-    def _target(self, drives: Array, *, gain: bool = True) -> Array:
-        """(R, nv) the drives' forces, less what the model needs where no free gain multiplies it.
-
-        gain: whether the gain of the drives is free.
-        """
-        needed = self.equation.needed
-        return drives - (np.where(self.equation.driven, 0.0, needed) if gain else needed)
+        return needed, columns * scale[:, None], payload, target
 
     def solve(self, solution: Solution) -> Solution:
         """Fit the sizes, the gain and the payload's mass by least squares, robustly weighted.
@@ -370,7 +364,7 @@ class Fitter:
             columns.append(payload)
             lowest.append(0.0)
         if GAIN not in solution.chosen:
-            target = self._target(self.drives(solution.delay), gain=False)
+            target = target - needed
         stacked = np.stack(columns, axis=2) if columns else np.zeros((*needed.shape, 0))
         return stacked, target, np.array(lowest)
 
@@ -409,15 +403,19 @@ class Fitter:
 
     def _errors_at(self, solution: Solution) -> Array:
         """(D,) the weighted squared error at each of the equation's delays."""
-        is_late = any(self.terms[i].family == OWN_GAIN for i in solution.terms)
+        equation = self.equation
+        columns_vary = any(self.terms[i].family == OWN_GAIN for i in solution.terms)
+        # What no free gain multiplies stands on the left, whatever the delay.
+        known = equation.needed
+        if GAIN in solution.chosen:
+            known = np.where(equation.driven, 0.0, known)
         found = []
-        for k, delay in enumerate(self.equation.delays.tolist()):
-            if k == 0 or is_late:
+        for k, delay in enumerate(equation.delays.tolist()):
+            if k == 0 or columns_vary:
                 columns, _, lowest = self._system(replace(solution, delay=delay))
                 flat = _weighted(columns, solution.weights)
                 gram = flat.T @ flat
-            target = self._target(self.equation.drives[k], gain=GAIN in solution.chosen)
-            aim = (target * solution.weights).ravel()
+            aim = ((equation.drives[k] - known) * solution.weights).ravel()
             moments = flat.T @ aim
             sizes = bounded_minimum(gram, moments, lowest)
             found.append(aim @ aim - 2 * moments @ sizes + sizes @ gram @ sizes)

@@ -36,6 +36,7 @@ from dropo.diagnosis.regression.equation import (
     EquationSettings,
     coupled_joints,
     equation_of,
+    independent_joints,
 )
 from dropo.diagnosis.regression.fit import GAIN, FitSettings, Fitter, Solution, root_mean_square
 from dropo.diagnosis.regression.missing import FoundNumber, Missing, values_of
@@ -301,8 +302,7 @@ class QuickDiagnose:
             after = replace(nothing, delay=alone.delay)
         left = np.where(equation.used, fitter.residuals(after), np.nan)
         force = root_mean_square(fitter.forces(solution.delay))
-        following = {follower.name for follower in coupled_joints(simulator)}
-        own = [joint for joint in joints(simulator.model) if joint.name not in following]
+        own = independent_joints(simulator)
         dofs = [joint.qvel for joint in own]
         rows = zip(
             own,
@@ -605,14 +605,13 @@ def _warnings(simulator: RobotSimulator, estimate: Missing, causes: bool) -> lis
             f"show, as how soft the ground is, is not looked for{looked_for}."
         )
     driven = estimate.fitter.equation.driven
-    leaders = {follower.name: follower.leader for follower in coupled_joints(simulator)}
-    for joint in joints(simulator.model):
-        if joint.name in leaders:
-            found.append(
-                f"{joint.name!r} follows {leaders[joint.name]!r}: a rotor, friction or a spring at "
-                "either is told as one of the latter."
-            )
-        elif not driven[joint.qvel]:
+    for one in coupled_joints(simulator):
+        found.append(
+            f"{one.name!r} follows {one.leader!r}: a rotor, friction or a spring at either is told "
+            "as one of the latter."
+        )
+    for joint in independent_joints(simulator):
+        if not driven[joint.qvel]:
             found.append(
                 f"No drive acts at {joint.name!r}: what is found there is rough, and its errors "
                 "are too small."

@@ -7,11 +7,11 @@ import numpy as np
 
 from dropo.core.contracts.effect import Model
 from dropo.core.services.validation import Array
-from dropo.diagnosis.regression.equation import Equation, coupled_joints, model_of
+from dropo.diagnosis.regression.equation import Equation, independent_joints, model_of
 from dropo.mjmodel.bodies import body_masses, inertia_matrix, mass_centre, moving_bodies
 from dropo.mjmodel.dynamics.body_regressors import point_mass
 from dropo.mjmodel.dynamics.drives import feedback_at
-from dropo.mjmodel.joints import Joint, actuators, joints, numbers_of
+from dropo.mjmodel.joints import Joint, actuators, numbers_of
 from dropo.mjmodel.options import gravity, physics_step
 from dropo.mjmodel.robot_simulator import RobotSimulator
 
@@ -86,10 +86,8 @@ def terms_of(simulator: RobotSimulator, equation: Equation) -> list[Term]:
     """
     model = model_of(simulator)
     found: list[Term] = []
-    following = {follower.name for follower in coupled_joints(simulator)}
-    for joint in joints(model):
-        if joint.name not in following:  # what it has acts at its leader as if that had it
-            found += _joint_terms(model, joint, equation)
+    for joint in independent_joints(simulator):
+        found += _joint_terms(model, joint, equation)
     if equation.floating:  # the weight of a free base fixes the scale of each drive
         found += _gain_terms(model, equation)
     else:
