@@ -91,7 +91,10 @@ def extended_problem(problem: Problem, library: Library, last: State) -> Problem
     Problem
     """
     indices_of = library.indices_of
-    found = [(instance, last.theta[indices_of[instance.label]]) for instance in last.accepted]
+    labels = {instance.label for instance in last.accepted}
+    # In the library's order: what changes one body in two ways acts as it did in the search.
+    accepted = [instance for instance in library.instances if instance.label in labels]
+    found = [(instance, last.theta[indices_of[instance.label]]) for instance in accepted]
     return replace(problem, simulator=robot_of(problem).with_effects((), found))
 
 

@@ -93,8 +93,9 @@ def few_units_sandwich(scores: Array, information: Array) -> tuple[Array, Array]
     Returns
     -------
     covariance : (m, m) array
+        NaN for unknowns on which no unit has information.
     degrees : (m,) array
-        Degrees of freedom of its diagonal, by Satterthwaite's approximation.
+        Degrees of freedom of its diagonal, by Satterthwaite's approximation; NaN likewise.
 
     References
     ----------
@@ -102,13 +103,30 @@ def few_units_sandwich(scores: Array, information: Array) -> tuple[Array, Array]
     Economic Statistics 36 (2018), 672, eq. 6 to 11.
     """
     whole = information.sum(axis=0)
-    adjusted, degrees = _adjusted(scores, information, whole)
-    inverse = inverse_information(whole)
-    return inverse @ adjusted.T @ adjusted @ inverse, degrees
+    told = np.diagonal(whole) > 0
+    covariance = np.full(whole.shape, np.nan)
+    degrees = np.full(len(whole), np.nan)
+    if not told.any():
+        return covariance, degrees
+    block = np.ix_(told, told)
+    own = information[:, told][:, :, told]
+    adjusted, degrees[told] = _adjusted(scores[:, told], own, whole[block])
+    inverse = inverse_information(whole[block])
+    covariance[block] = inverse @ adjusted.T @ adjusted @ inverse
+    return covariance, degrees
 
 
 def _adjusted(scores: Array, information: Array, whole: Array) -> tuple[Array, Array]:
     """The scores of units with what the fit took from their residuals, and degrees of freedom."""
+    # In units of the unknowns in which each has information 1: they may differ by many orders.
+    size = np.sqrt(np.diagonal(whole))
+    scale = np.outer(size, size)
+    adjusted, degrees = _adjusted_alike(scores / size, information / scale, whole / scale)
+    return adjusted * size, degrees
+
+
+def _adjusted_alike(scores: Array, information: Array, whole: Array) -> tuple[Array, Array]:
+    """The same where the diagonal of all information is 1."""
     values, vectors = np.linalg.eigh(inverse_information(whole))
     size = np.sqrt(np.maximum(values, 0.0))
     root = (vectors * size) @ vectors.T  # M^-1/2

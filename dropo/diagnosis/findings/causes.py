@@ -340,15 +340,11 @@ def standard_errors(
     Returns
     -------
     errors : (f,) array
-        In the numbers' units.
+        In the numbers' units. What the data do not tell is anywhere within its bounds.
     degrees : (f,) array
         Degrees of freedom of each.
     """
-    covariance, degrees = _sandwich(library, last, 1.0)
-    errors = np.sqrt(np.diagonal(covariance))
-    # Errors far below the usual width of differences: predictions are curved within it.
-    if np.any(errors < close * library.steps[last.free]):
-        covariance, degrees = _sandwich(library, last, close)
+    covariance, degrees = _covariance(library, last, close)
     return np.sqrt(np.diagonal(covariance)), degrees
 
 
@@ -363,11 +359,25 @@ def covariance_of(library: Library, last: State, close: float = REFIT.close) -> 
     Returns
     -------
     (f, f) array
+        With the errors of `standard_errors`.
     """
-    covariance, _ = _sandwich(library, last, 1.0)
-    if np.any(np.sqrt(np.diagonal(covariance)) < close * library.steps[last.free]):
-        covariance, _ = _sandwich(library, last, close)
+    covariance, _ = _covariance(library, last, close)
     return covariance
+
+
+def _covariance(library: Library, last: State, close: float) -> tuple[Array, Array]:
+    """The covariance (f, f) and its degrees (f,), no error larger than the number's interval."""
+    covariance, degrees = _sandwich(library, last, 1.0)
+    # Errors far below the usual width of differences: predictions are curved within it.
+    if np.any(np.sqrt(np.diagonal(covariance)) < close * library.steps[last.free]):
+        covariance, degrees = _sandwich(library, last, close)
+    space = library.simulator.space
+    width = (space.high - space.low)[last.free]
+    told = np.isfinite(np.diagonal(covariance))
+    covariance = np.where(np.outer(told, told), covariance, np.diag(width**2))
+    errors = np.sqrt(np.diagonal(covariance))
+    kept = np.divide(width, errors, out=np.ones(len(width)), where=errors > width)
+    return covariance * np.outer(kept, kept), np.where(told, degrees, np.inf)
 
 
 def _sandwich(library: Library, last: State, fraction: float) -> tuple[Array, Array]:

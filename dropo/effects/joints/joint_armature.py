@@ -6,7 +6,7 @@ from dropo.core.contracts.effect import EffectContext, EffectInstance
 from dropo.effects.support.model_field import FieldEntry, ModelField, by_kind
 from dropo.mjmodel.joints import joints
 
-FIELD = ModelField("joint_armature", "dof_armature", "armature")
+FIELD = ModelField("joint_armature", "dof_armature", "armature", bound=100.0)
 
 
 def joint_armature(context: EffectContext) -> Iterator[EffectInstance]:

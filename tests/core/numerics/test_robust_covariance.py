@@ -171,3 +171,43 @@ def test_units_that_tell_most_make_intervals_wide():
     plain = sandwich(scores, np.array([[25.0]]), units)
     np.testing.assert_allclose(by_shares[0], plain[0])
     np.testing.assert_allclose(by_shares[1], plain[1])
+
+
+def few_units(rng, units=10, rows=30, numbers=3):
+    """Scores and information of each of some units, whose errors are independent."""
+    jacobian = rng.standard_normal((units, rows, numbers))
+    residuals = rng.standard_normal((units, rows))
+    scores = np.einsum("gri,gr->gi", jacobian, residuals)
+    return scores, np.einsum("gri,grj->gij", jacobian, jacobian)
+
+
+def test_units_of_numbers_do_not_matter():
+    """Metres or femtometres: errors of few units change by the same factor."""
+    scores, information = few_units(np.random.default_rng(7))
+    size = np.array([1.0, 1e-15, 1e6])
+    covariance, degrees = few_units_sandwich(scores, information)
+    scaled, same = few_units_sandwich(scores * size, information * np.outer(size, size))
+    np.testing.assert_allclose(scaled * np.outer(size, size), covariance, rtol=1e-8)
+    np.testing.assert_allclose(same, degrees, rtol=1e-8)
+
+
+def test_what_no_unit_tells_leaves_the_others_errors_alone():
+    """A number that moves predictions by rounding alone, as a mass's place along its axis."""
+    rng = np.random.default_rng(8)
+    scores, information = few_units(rng)
+    rounding, of_rounding = few_units(rng, numbers=1)
+    covariance, degrees = few_units_sandwich(scores, information)
+    more = np.zeros((len(information), 4, 4))
+    more[:, :3, :3] = information
+    more[:, 3:, 3:] = 1e-30 * of_rounding
+    both, freedom = few_units_sandwich(np.hstack([scores, 1e-15 * rounding]), more)
+    np.testing.assert_allclose(both[:3, :3], covariance, rtol=1e-6)
+    np.testing.assert_allclose(freedom[:3], degrees, rtol=1e-6)
+    assert both[3, 3] > 1e20
+    more[:, 3, 3] = 0.0
+    both, freedom = few_units_sandwich(np.hstack([scores, 0 * rounding]), more)
+    np.testing.assert_array_equal(both[:3, :3], covariance)
+    assert np.isnan(both[3]).all()
+    assert np.isnan(freedom[3])
+    nothing, _ = few_units_sandwich(0 * scores, 0 * information)
+    assert np.isnan(nothing).all()
