@@ -12,6 +12,9 @@ from dropo.diagnosis.search.plausibility import Plausibility
 WORSE = 0.02
 """Fraction by which the spread of what is left may grow by an exchange for a likelier number."""
 
+TOLD = 1e-6
+"""Fraction of a column below which what is left of it is rounding."""
+
 OF_A_PAYLOAD = 4
 """Numbers of a payload, its mass and its place, each of which has the price of Schwarz's criterion.
 """
@@ -82,6 +85,62 @@ def payload_similarities(fitter: Fitter, solution: Solution, without: Solution) 
         if explained > 0 and lost < explained:
             found[body] = float(np.sqrt(min(1.0, 1.0 - lost / explained)))
     return found
+
+
+def parts_of_payload(fitter: Fitter, solution: Solution) -> Array:
+    """Compare terms with what a payload's mass and place can make up for together.
+
+    A rotor at the only hinge, say, is a payload farther out.
+
+    Parameters
+    ----------
+    fitter : Fitter
+        The equation and its K terms.
+    solution : Solution
+        The numbers, a payload among them.
+
+    Returns
+    -------
+    (K,) array
+        The cosine of each term's force and the nearest that changes of the payload make, all other
+        numbers fitted again; 0 of what is in the solution.
+    """
+    jacobian, _ = fitter.linearized(solution)
+    weights = solution.weights[:, :, None]
+    rows = (jacobian * weights).reshape(-1, jacobian.shape[2])
+    payload = rows[:, -1 - OF_A_PAYLOAD : -1]
+    others = np.delete(rows, range(rows.shape[1] - 1 - OF_A_PAYLOAD, rows.shape[1] - 1), axis=1)
+    terms = fitter.columns_at(solution.delay, range(len(fitter.terms))) * weights
+    columns = terms.reshape(len(rows), -1)
+    left = without_span(columns, others)
+    rest = without_span(left, without_span(payload, others))
+    size = np.linalg.norm(left, axis=0)
+    told = size > TOLD * np.linalg.norm(columns, axis=0)
+    share = np.divide(np.linalg.norm(rest, axis=0), size, out=np.ones(len(size)), where=told)
+    cosines = np.sqrt(np.maximum(1.0 - share**2, 0.0))
+    cosines[solution.terms] = 0.0
+    return np.asarray(cosines)
+
+
+def without_span(columns: Array, of: Array) -> Array:
+    """Project columns on what some others do not span.
+
+    Parameters
+    ----------
+    columns : (R, m) array
+        Any.
+    of : (R, k) array
+        The others; those next to 0 count for nothing.
+
+    Returns
+    -------
+    (R, m) array
+    """
+    size = np.linalg.norm(of, axis=0)
+    kept = of[:, size > 0] / size[size > 0]
+    basis, values, _ = np.linalg.svd(kept, full_matrices=False)
+    basis = basis[:, values > TOLD]
+    return np.asarray(columns - basis @ (basis.T @ columns))
 
 
 def most_plausible(

@@ -51,6 +51,9 @@ class ChoiceSettings:
         By how much other numbers must be likelier than those found first [nats].
     payload : float
         Fraction by which a payload must lower the spread of what is left at the joints.
+    further : float
+        Fraction by which each further thing of a solution must lower that spread, where another
+        solution explains nearly as much in fewer things.
     heavier : float
         Fraction by which a body is heavier than its model from which that is rather a payload.
     passes : int
@@ -69,6 +72,7 @@ class ChoiceSettings:
     wald: float = 16.0
     decisive: float = 3.0
     payload: float = 0.02
+    further: float = 0.1
     heavier: float = 0.5
     passes: int = 4
     rounds: int = 40
@@ -290,15 +294,18 @@ class Chooser:
         """Whether another solution explains as much in fewer things, or more in as many.
 
         Of as many things the likelier one is chosen, with a price for each of its numbers; what is
-        likelier may also leave more at some joint.
+        likelier may also leave more at some joint. One of more things must be far likelier.
         """
         better = self._criterion(other) < self._criterion(found) - self.settings.decisive
         less = self._is_large(other, found)
         if (less and not better) or self._has_idle_drive(other):
             return False
         fewer = self._candidates_in(found) - self._candidates_in(other)
+        if fewer < 0:
+            price = self.settings.further * float(self.fitter.equation.used.sum())
+            return self._criterion(other) - fewer * price < self._criterion(found)
         if fewer:
-            return fewer > 0
+            return True
         return better or self._is_large(found, other)
 
     def _has_idle_drive(self, solution: Solution) -> bool:
@@ -416,11 +423,21 @@ class Chooser:
 
         The bodies are tried one by one: a payload elsewhere may be a local optimum in which gain
         and masses are all off by one factor. So may a gain that is free from the beginning, beside
-        a joint whose offset a payload explains: it is also freed at last.
+        a joint whose offset a payload explains: it is also freed at last. Where any gain would do
+        it is the model's own, and all other numbers are in its proportion.
         """
-        fitter = self.fitter
         held = tuple(i for i in chosen if i != GAIN)
         starts = [self._begun(own) for own in dict.fromkeys((chosen, held))]
+        best = self._first_from(starts, chosen)
+        if best.payload is None or not self.fitter.may_have_any_gain(best):
+            return best
+        by_own_gain = self._first_from(starts[-1:], held)
+        explains = self.fitter.badness(by_own_gain) - self.settings.decisive
+        return by_own_gain if explains < self.fitter.badness(best) else best
+
+    def _first_from(self, starts: Sequence[Solution], chosen: Group) -> Solution:
+        """The solution of some terms, with a payload or none, that is reached from one start."""
+        fitter = self.fitter
         freed = [fitter.refined(replace(one, chosen=chosen)) for one in starts]
         best = min(freed, key=fitter.badness)
         # A payload has four numbers, one of them not linear: it must earn its place.
@@ -591,7 +608,8 @@ class Chooser:
                 wald = solution.sizes[i] ** 2 / max(float(variance[offset + place]), 1e-300)
                 large = abs(solution.sizes[i]) > self.fitter.terms[i].least * (1 + solution.gain)
                 strong = forces[i] > self.settings.force
-                if i in laws or (wald > self.settings.wald and large and strong):
+                sure = wald > self.settings.wald
+                if i in laws or (large and strong and (sure or self._is_missed(solution, i))):
                     kept.append(i)
             if len(kept) == len(solution.terms):
                 return solution
@@ -599,6 +617,17 @@ class Chooser:
             sizes[kept] = solution.sizes[kept]
             gain = (GAIN,) * offset
             solution = replace(solution, chosen=(*gain, *kept), sizes=sizes)
+
+    def _is_missed(self, solution: Solution, term: int) -> bool:
+        """Whether the other numbers, fitted again without a term, explain far less.
+
+        Its own error may be that of a scale that it shares with all of them.
+        """
+        fitter = self.fitter
+        chosen = tuple(i for i in solution.chosen if i != term)
+        without = fitter.refined(fitter.solve(replace(solution, chosen=chosen)))
+        worse = fitter.badness(without) - fitter.badness(solution)
+        return worse > self.settings.payload * float(fitter.equation.used.sum())
 
     def term_forces(self, solution: Solution) -> Array:
         """Compute how large the force of each chosen term is.

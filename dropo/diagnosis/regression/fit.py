@@ -482,7 +482,7 @@ class Fitter:
         Solution
             Where a step would gain nothing, or after the settings' number of them.
         """
-        jacobian, residuals = self._linearized(solution)
+        jacobian, residuals = self.linearized(solution)
         for _ in range(self.settings.steps):
             solution = self._reweighted(solution, residuals)
             gram, moments = _normal_equations(jacobian, residuals, solution.weights)
@@ -492,7 +492,7 @@ class Fitter:
                 break
             for _ in range(self.settings.halvings):
                 moved = self._moved(solution, steps)
-                jacobian, residuals = self._linearized(moved)
+                jacobian, residuals = self.linearized(moved)
                 if weighted_squares(residuals, solution.weights) <= before:
                     break
                 steps = steps / 2
@@ -549,13 +549,23 @@ class Fitter:
         (R, nv) array
             What is left [N, N m]; where there is no drive, what the motion needs and has not.
         """
-        return self._linearized(solution)[1]
+        return self.linearized(solution)[1]
 
-    def _linearized(self, solution: Solution) -> tuple[Array, Array]:
-        """(R, nv, k) derivatives of what the numbers explain, and the residuals (R, nv).
+    def linearized(self, solution: Solution) -> tuple[Array, Array]:
+        """Linearize what the numbers explain.
 
-        The numbers are beta where it is free, the terms' sizes, the payload's mass and place, and
-        the delay, in this order.
+        Parameters
+        ----------
+        solution : Solution
+            k numbers: beta where it is free, the terms' sizes, the payload's mass and place, and
+            the delay, in this order.
+
+        Returns
+        -------
+        jacobian : (R, nv, k) array
+            Derivatives by the numbers.
+        residuals : (R, nv) array
+            What is left of the drives' forces.
         """
         columns = self.columns_at(solution.delay, solution.terms)
         needed = self.equation.needed + columns @ solution.sizes[solution.terms]
@@ -639,7 +649,7 @@ class Fitter:
         Liang and Zeger, Longitudinal data analysis using generalized linear models, Biometrika 73
         (1986), 13.
         """
-        jacobian, residuals = self._linearized(solution)
+        jacobian, residuals = self.linearized(solution)
         weighted = jacobian * solution.weights[:, :, None]
         flat = weighted.reshape(-1, jacobian.shape[2])
         size = np.sqrt(np.sum(flat**2, axis=0))
@@ -658,6 +668,26 @@ class Fitter:
         not_identifiable = np.flatnonzero(np.isinf(scale))
         covariance[not_identifiable, not_identifiable] = np.inf
         return covariance
+
+    def may_have_any_gain(self, solution: Solution) -> bool:
+        """Tell whether no motion tells the scale of all forces.
+
+        Any gain of the drives would do then, with all other numbers in its proportion.
+
+        Parameters
+        ----------
+        solution : Solution
+            The numbers, whether the gain of all drives is among them or not.
+
+        Returns
+        -------
+        bool
+        """
+        if not self.equation.driven.any():
+            return False
+        chosen = (GAIN, *(i for i in solution.chosen if i != GAIN))
+        variance = float(self.covariance(replace(solution, chosen=chosen))[0, 0])
+        return variance > solution.beta**2
 
 
 def _normal_equations(columns: Array, target: Array, weights: Array) -> tuple[Array, Array]:

@@ -8,7 +8,11 @@ import numpy as np
 
 from dropo.core.services.validation import Array
 from dropo.diagnosis.parts import Alternative, Estimate
-from dropo.diagnosis.regression.alike import payload_similarities, term_similarities
+from dropo.diagnosis.regression.alike import (
+    parts_of_payload,
+    payload_similarities,
+    term_similarities,
+)
 from dropo.diagnosis.regression.choice import BlockTables, Chooser
 from dropo.diagnosis.regression.fit import GAIN, Fitter, Solution, root_mean_square
 from dropo.mjmodel.joints import actuators
@@ -188,14 +192,24 @@ class Missing:
         error = float(self.errors[0]) / self.solution.beta**2
         return abs(self.solution.gain) > certain * error
 
+    @property
+    def may_have_any_gain(self) -> bool:
+        """Whether no motion tells the scale of all forces, of which a payload's is a part."""
+        solution = self.solution
+        if GAIN in solution.chosen:
+            return float(self.errors[0]) > solution.beta
+        return solution.payload is not None and self.fitter.may_have_any_gain(solution)
+
     def with_own_gain(self) -> "Missing":
         """Fit all other numbers again with the drives' gain as the model has it.
 
         Returns
         -------
         Missing
-            With the standard errors of the rows alone.
+            With the standard errors of the rows alone; itself where it has that gain.
         """
+        if GAIN not in self.solution.chosen:
+            return self
         solution = self.fitter.refined(self.without(GAIN))
         errors = np.sqrt(np.diagonal(self.fitter.covariance(solution)))
         return replace(self, solution=solution, errors=errors)
@@ -331,7 +345,9 @@ class Missing:
         """
         return self._left(self.fitter.solve(self.without(index)))
 
-    def alternatives(self, index: int | str, similarity: float) -> tuple[Alternative, ...]:
+    def alternatives(
+        self, index: int | str, similarity: float, same: float = np.inf
+    ) -> tuple[Alternative, ...]:
         """Find what has the same forces as a number, with all other numbers fitted again.
 
         Parameters
@@ -340,6 +356,9 @@ class Missing:
             A term's index, `GAIN`, "delay" or "payload".
         similarity : float
             Cosine of the two forces above which data cannot tell them apart.
+        same : float
+            That of a number and changes of a payload above which it is a part of that, in whatever
+            motion.
 
         Returns
         -------
@@ -359,7 +378,12 @@ class Missing:
                 places["payload", self.bodies[body], ""] = cosine
         alike = [place for place in places if places[place] > similarity]
         alike.sort(key=lambda place: -places[place])
-        return tuple(Alternative(*place, why=f"similarity {places[place]:.3f}") for place in alike)
+        found = [Alternative(*place, why=f"similarity {places[place]:.3f}") for place in alike]
+        if index == "payload":
+            parts = np.flatnonzero(parts_of_payload(self.fitter, self.solution) > same).tolist()
+            why = "a payload of another mass at another place has it too"
+            found += [Alternative(*self._place_of(i), why=why) for i in parts]
+        return tuple(found)
 
     def _place_of(self, i: int) -> tuple[str, str | None, str]:
         """The effect, target and variant of a term; after the last one, of the drives' gain."""

@@ -173,7 +173,7 @@ class QuickDiagnose:
         faults = wiring_faults(problem)
         estimate = estimate_missing(problem, fitted, self.settings)
         estimate = _with_bias(problem, fitted, estimate, self.settings)
-        free = GAIN in estimate.solution.chosen
+        unscaled = estimate.may_have_any_gain
         estimate = _with_scale(estimate, self.settings)
         numbers = estimate.numbers(simulator, self.settings.certain)
         unknown = [number.label for number in numbers if number.unknown]
@@ -183,7 +183,7 @@ class QuickDiagnose:
         warnings = [*problem.warnings, *still, *chattering]
         warnings += _warnings(simulator, estimate, bool(causes))
         warnings += _not_looked_for(simulator)
-        if free and GAIN not in estimate.solution.chosen:
+        if unscaled:
             warnings.append(
                 "No motion tells the scale of all forces: the drives' gain is taken as it is."
             )
@@ -259,7 +259,9 @@ class QuickDiagnose:
                     rmse_after=estimate.left,
                     confused_with=(
                         *estimate.rivals(number.effect),
-                        *estimate.alternatives(number.index, self.settings.similarity),
+                        *estimate.alternatives(
+                            number.index, self.settings.similarity, self.settings.same
+                        ),
                     ),
                 )
             )
@@ -500,12 +502,12 @@ def _with_scale(estimate: Missing, settings: QuickSettings) -> Missing:
     A joint by itself, with a rotor that may be anything, is such: half the gain is twice the mass.
     """
     solution = estimate.solution
-    if GAIN not in solution.chosen:
-        return estimate
-    if float(estimate.errors[0]) > solution.beta:
-        # Any gain would do: all numbers are those of the model's own.
+    if estimate.may_have_any_gain:
+        # All numbers are those of the model's own.
         estimate = estimate.with_own_gain()
         return _with_scale_error(estimate, np.abs(values_of(estimate.solution)), settings)
+    if GAIN not in solution.chosen:
+        return estimate
     alike = estimate.alternatives(GAIN, settings.same)
     if not any(one.effect == "joint_armature" for one in alike):
         return estimate
