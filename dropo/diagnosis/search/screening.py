@@ -24,6 +24,7 @@ from dropo.diagnosis.search.linearization import (
     estimate_noise,
     whitener,
 )
+from dropo.diagnosis.search.plausibility import Plausibility
 from dropo.diagnosis.search.record import recorded
 from dropo.diagnosis.search.windows import Windows
 
@@ -791,3 +792,34 @@ def with_constant(
             chosen.setdefault(constant.label, as_constant)
         chosen.setdefault(instance.label, candidate)
     return list(chosen.values())
+
+
+def most_usual_of_twins_first(
+    candidates: Sequence[Candidate], similarity: float, plausibility: Plausibility
+) -> list[Candidate]:
+    """Put the most usual of candidates that do the same to the data in the place of the first.
+
+    So that it is among the few that are refitted.
+
+    Parameters
+    ----------
+    candidates : sequence of Candidate
+        Those that promise most come first.
+    similarity : float
+        Cosine of two signatures above which candidates do the same.
+    plausibility : Plausibility
+        How usual each effect is.
+
+    Returns
+    -------
+    list of Candidate
+        Each once; the others stay in their order.
+    """
+    left = list(candidates)
+    found = []
+    while left:
+        twins = [one for one in left if abs(one.signature @ left[0].signature) > similarity]
+        usual = max([left[0], *twins], key=lambda one: plausibility.of(one.instance.effect))
+        found.append(usual)
+        left.remove(usual)
+    return found

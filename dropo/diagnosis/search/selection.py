@@ -54,7 +54,13 @@ from dropo.diagnosis.search.linearization import (
 )
 from dropo.diagnosis.search.record import Sides, recorded_sides
 from dropo.diagnosis.search.refit import NO_INDICES, refit, settle, with_noise
-from dropo.diagnosis.search.screening import Candidate, Screening, shortlist, with_constant
+from dropo.diagnosis.search.screening import (
+    Candidate,
+    Screening,
+    most_usual_of_twins_first,
+    shortlist,
+    with_constant,
+)
 from dropo.diagnosis.search.single_steps import absent_in_single_steps
 from dropo.diagnosis.search.trials import Batch, State, Trial, most_plausible_first
 from dropo.diagnosis.search.whitening import WindowNoise
@@ -290,7 +296,11 @@ class Selection:
         self.progress(done, f"screening {len(others)} effects")
         screened = self.screening(state.train, state.free, others)
         maximum = settings.maximum_batches * settings.batch_size
-        promising = shortlist(screened, maximum, settings.minimum_fitted_gain)
+        promising = most_usual_of_twins_first(
+            shortlist(screened, maximum, settings.minimum_fitted_gain),
+            settings.similarity,
+            settings.plausibility,
+        )
         return screened, with_constant(promising, others)
 
     def _confirm(

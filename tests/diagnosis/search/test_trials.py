@@ -7,6 +7,7 @@ import pytest
 
 from dropo.diagnosis.search.confirmation import SelectionSettings
 from dropo.diagnosis.search.plausibility import Plausibility
+from dropo.diagnosis.search.screening import most_usual_of_twins_first
 from dropo.diagnosis.search.trials import most_plausible_first
 from tests.models.linear_mass import instances
 
@@ -60,3 +61,17 @@ def test_who_knows_better_says_so():
     own = SelectionSettings(plausibility=Plausibility({"body_inertia": 0.0}))
     assert most_plausible_first(trials)[0].candidate.instance.effect == "joint_armature"
     assert most_plausible_first(trials, own)[0].candidate.instance.effect == "body_inertia"
+
+
+def test_the_most_usual_of_twins_is_tried_where_the_first_would_be():
+    """Before those that promise less but do something else; the others stay in their order."""
+
+    def candidate(effect, signature):
+        return SimpleNamespace(instance=SimpleNamespace(effect=effect), signature=signature)
+
+    first = candidate("body_com", AXES[0])
+    other = candidate("actuator_gain", AXES[1])
+    twins = [candidate(name, -AXES[0]) for name in ("body_inertia", "joint_armature")]
+    found = most_usual_of_twins_first([first, other, *twins], 0.98, Plausibility())
+    assert found == [twins[1], first, other, twins[0]]
+    assert most_usual_of_twins_first([first, other], 0.98, Plausibility()) == [first, other]
