@@ -316,8 +316,8 @@ class Readings:
         motion = self._motion(self.plain)
         return self._at_best_delay(self.plain, motion, dof, motion.bias[:, dof], beside).left
 
-    def follows_speed(self, dof: int) -> float:
-        """Say how closely a joint moves at the speed that its drive is told.
+    def told_and_pull(self, dof: int) -> tuple[Array, Array] | None:
+        """Return the two parts of the force of a drive that is told speeds.
 
         Parameters
         ----------
@@ -326,17 +326,16 @@ class Readings:
 
         Returns
         -------
-        float
-            The correlation of speed and command; 0 where the drive takes no speeds.
+        tuple of two (R,) arrays, or None
+            What its command asks for, and what it pulls back, both of which are as the speed where
+            the joint follows. None where it takes no speeds, or either does not change.
         """
         motion = self._motion(self.plain)
         if not self._brakes(motion, dof):
-            return 0.0
-        told = self._drive(self.plain, motion, dof, 0.0)
-        back = -motion.bias[:, dof]
-        if not (np.ptp(told) > 0 and np.ptp(back) > 0):
-            return 0.0
-        return float(np.corrcoef(told, back)[0, 1])
+            return None
+        told = self._drive(self.plain, motion, dof, 0.0, within=False)
+        pull = -motion.bias[:, dof]
+        return (told, pull) if np.ptp(told) > 0 and np.ptp(pull) > 0 else None
 
     def _brakes(self, motion: _SmoothedMotion, dof: int) -> bool:
         """Whether a drive pulls against the speed alone, as viscous friction does."""
@@ -462,6 +461,25 @@ class Readings:
         command = np.concatenate(log.logged)[:, reading.commands[i]] * reading.command_scales[i]
         angle = np.concatenate(log.positions)[:, reading.angles[dof]] * reading.angle_scales[dof]
         return float(command.std() / max(angle.std(), 1e-300))
+
+    def extent(self, reading: Reading, dof: int) -> float:
+        """Return how far a joint moves in all.
+
+        Parameters
+        ----------
+        reading : Reading
+            How columns are read.
+        dof : int
+            The degree of freedom.
+
+        Returns
+        -------
+        float
+            From one end to the other [rad, m].
+        """
+        log = self.parts[0][0]
+        angle = np.concatenate(log.positions)[:, reading.angles[dof]]
+        return float(np.ptp(angle)) * abs(reading.angle_scales[dof])
 
     def _fit(self, reading: Reading, dof: int) -> JointFit:
         """The fit of one joint at the delay that explains most."""

@@ -11,61 +11,32 @@ from dataclasses import KW_ONLY, dataclass, field, replace
 from itertools import chain, combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dropo.core.contracts.problem import Problem
 from dropo.core.numerics.tails import student_tail
-from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.errors import BadArgument, Incompatible
 from dropo.core.services.validation import Array
-from dropo.diagnosis.regression.equation import UniformLog
 from dropo.diagnosis.regression.readings import JointFit, Reading, Readings, ReadingSettings, sides
 from dropo.diagnosis.regression.result import Evidence, WiringFault
-from dropo.diagnosis.search.library import robot_of
-from dropo.mjmodel.dynamics.forces import position_servos
-from dropo.mjmodel.joints import Joint
-from dropo.mjmodel.robot_simulator import RobotSimulator
+from dropo.diagnosis.regression.tracking import (
+    UNITS,
+    Misread,
+    Tracking,
+    TrackingSettings,
+    position_tracking,
+    speed_tracking,
+)
 
 EITHER = ""
 """Of a fault of which angles and commands explain the same."""
-UNITS: dict[str, dict[float, str]] = {
-    "hinge": {
-        np.pi / 180: "degrees to radians",
-        180 / np.pi: "radians that were taken for degrees",
-        2 * np.pi: "turns to radians",
-        0.5 / np.pi: "radians that were taken for turns",
-        1e-3: "thousandths",
-    },
-    "slide": {
-        1e-3: "millimetres to metres",
-        1e3: "metres that were taken for millimetres",
-        1e-2: "centimetres to metres",
-        1e2: "metres that were taken for centimetres",
-    },
-}
-"""What an angle or a length is multiplied by where its unit was mistaken, and in words."""
 
 
 @dataclass(frozen=True)
-class WiringSettings:
+class WiringSettings(TrackingSettings):
     """When angles or commands are not what the model takes them for.
 
     Attributes
     ----------
-    follows : float
-        Correlation of positions with commands from which a joint follows one.
-    better : float
-        By how much the correlation with another command must be larger.
-    closely : float
-        Correlation from which a joint that moves as far as its servo's command says is wired right.
-    factor : float
-        A factor above this, or below one over it, is another unit.
-    moving : float
-        A command that moves less than this fraction of the largest is not looked at.
-    lag : float
-        Longest time by which a joint follows its command [s].
-    lags : int
-        Number of such times that are tried.
     unexplained : float
         Root mean square of a joint's unexplained force, as a fraction of its force, from which its
         wiring is doubted.
@@ -90,8 +61,9 @@ class WiringSettings:
         Faults that are looked for at most.
     equal : float
         Readings are equally good if one leaves this multiple of the other at most.
-    known : float
-        Relative distance from a known unit within which a factor is that unit.
+    least_angle, least_travel : float
+        How far a hinge [rad] and a slide [m] move from end to end in any log: units in which they
+        would move less are none.
     torques : float
         A servo's command that counts so many times as much as its pull back is a force, if the
         motion is explained better without any pull back.
@@ -104,13 +76,6 @@ class WiringSettings:
         How forces are compared.
     """
 
-    follows: float = 0.6
-    better: float = 0.3
-    closely: float = 0.9
-    factor: float = 3.0
-    moving: float = 0.02
-    lag: float = 0.3
-    lags: int = 16
     _: KW_ONLY
     unexplained: float = 0.3
     strange: float = 0.5
@@ -122,7 +87,8 @@ class WiringSettings:
     step: float = 0.3
     most: int = 12
     equal: float = 1.5
-    known: float = 0.2
+    least_angle: float = 0.05
+    least_travel: float = 0.005
     torques: float = 10.0
     motors: float = 100.0
     checked: float = 0.2
@@ -226,22 +192,16 @@ def wiring_of(problem: Problem, settings: WiringSettings = SETTINGS) -> Wiring:
     try:
         readings = Readings(problem, *sides(problem, settings.checked), settings.readings)
     except (Incompatible, BadArgument):
-        pass
-    else:
-        followers = _followers(robot_of(problem), problem.trajectories, settings)
-        following = _following(followers, settings) | {
-            dof for dof in readings.evaluated if readings.follows_speed(dof) > settings.closely
-        }
-        opposed = _opposed(followers, settings) + [
-            dof for dof in readings.evaluated if readings.follows_speed(dof) < -settings.closely
-        ]
-        search = _WiringSearch(readings, settings, following, frozenset(opposed))
-        found = search.run()
-        return found if found.faults else search.of_opposed(opposed)
-    try:
-        return Wiring(faults_of_followers(robot_of(problem), problem.trajectories, settings))
-    except (Incompatible, BadArgument):
-        return Wiring(())
+        try:
+            return Wiring(_faults_of(position_tracking(problem, settings)))
+        except (Incompatible, BadArgument):
+            return Wiring(())
+    tracked = [position_tracking(problem, settings), speed_tracking(readings, settings)]
+    servos = [one for one in tracked if one is not None]
+    following = frozenset[int]().union(*(one.following for one in servos))
+    search = _WiringSearch(readings, settings, following)
+    found = search.of_tracking([misread for one in servos for misread in one.misread_closely])
+    return found if found.faults else search.run()
 
 
 def wiring_faults(problem: Problem, settings: WiringSettings = SETTINGS) -> tuple[WiringFault, ...]:
@@ -266,18 +226,28 @@ def wiring_faults(problem: Problem, settings: WiringSettings = SETTINGS) -> tupl
 class _WiringSearch:
     """A search for the changes that explain the forces, one after another.
 
-    following: the degrees of freedom of servos whose joints follow their own commands closely. Not
-    one of both columns alone can be wrong there, however far off the servo's gain is. opposed:
-    those of joints that move against them as closely, which a logged torque would not make them do.
+    Attributes
+    ----------
+    readings : Readings
+        What forces are left by how the columns are read.
+    settings : WiringSettings
+        What counts.
+    following : frozenset of int
+        The degrees of freedom of servos whose joints follow their own commands closely. Not one of
+        both columns alone can be wrong there, however far off the servo's gain is.
     """
 
     readings: Readings
     settings: WiringSettings
     following: frozenset[int] = frozenset()
-    opposed: frozenset[int] = frozenset()
 
     def run(self) -> Wiring:
-        """The changes that are confirmed on data held out."""
+        """Find the changes that are confirmed on data held out.
+
+        Returns
+        -------
+        Wiring
+        """
         plain = self.readings.fits(self.readings.plain)
         changes: list[Change] = []
         left = _total(plain)
@@ -288,25 +258,73 @@ class _WiringSearch:
             left, change = best
             changes.append(change)
         changes = self._needed(changes)
-        if changes and not self._confirmed(plain, changes):
-            changes = []
+        faults = self._confirmed_faults(plain, changes)
+        changes = [change for change, _ in faults]
         further = [*self._of_motors(changes), *self._of_torques(changes)]
         reading = self._reading([*changes, *further])
-        faults = [self._fault(change, changes) for change in changes]
-        if not all(_certain(fault, self.settings.level) for fault in faults):
-            return Wiring(())
-        faults += [self._further_fault(change, reading) for change in further]
-        if not faults:
-            return Wiring(())
-        return Wiring(tuple(faults), reading)
+        every = [fault for _, fault in faults]
+        every += [self._further_fault(change, reading) for change in further]
+        return Wiring(tuple(every), reading) if every else Wiring(())
 
-    def of_opposed(self, dofs: Sequence[int]) -> Wiring:
-        """The signs of joints that move against their own servos' commands, whatever forces say."""
-        if not dofs:
+    def _confirmed_faults(
+        self, plain: dict[int, JointFit], changes: list[Change]
+    ) -> list[tuple[Change, WiringFault]]:
+        """The changes that are confirmed together, each of which is certain."""
+        while changes and self._confirmed(plain, changes):
+            faults = [(change, self._fault(change, changes)) for change in changes]
+            certain = [one for one in faults if _certain(one[1], self.settings.level)]
+            if len(certain) == len(faults):
+                return faults
+            changes = [change for change, _ in certain]
+        return []
+
+    def of_tracking(self, misread: Sequence[Misread]) -> Wiring:
+        """Find the changes that commands tell which joints follow, whatever forces say.
+
+        Forces tell whether the angle is wrong or its command, if anything does.
+
+        Parameters
+        ----------
+        misread : sequence of Misread
+            What commands tell.
+
+        Returns
+        -------
+        Wiring
+        """
+        changes: list[Change] = []
+        for kind, alike in _alike(misread):
+            dofs = tuple(joint.qvel for one in alike for joint in one.joints)
+            slope = alike[0].slope
+            if kind == "unit_factor":
+                # Forces tell it exactly, which come of how far a servo is behind.
+                exact = self.readings.command_factor(self.readings.plain, dofs[0])
+                if exact is not None and np.isfinite(exact):
+                    slope = exact
+                slope = self._known(slope, dofs[0])
+            pair = (
+                Change(kind, "angle", dofs, 1 / slope),
+                Change(kind, "command", dofs, slope),
+            )
+            changes.append(min(pair, key=lambda one: self._left_with([*changes, one])))
+        if not changes:
             return Wiring(())
-        changes = [Change("sign", "angle", (dof,)) for dof in dofs]
-        faults = tuple(self._fault(change, changes) for change in changes)
-        return Wiring(faults, self._reading(changes))
+        return Wiring(tuple(self._tracked(one, changes) for one in changes), self._reading(changes))
+
+    def _tracked(self, change: Change, changes: Sequence[Change]) -> WiringFault:
+        """What commands tell, with the evidence of forces where these speak for it, too."""
+        fault = self._fault(change, changes)
+        speaks = fault.evidence is not None and fault.evidence.gain > 0 < fault.evidence.removed
+        if change.kind == "unit_factor":
+            slope = change.factor if change.of == "command" else 1 / change.factor
+            why = f"It moves {slope:.3g} times as far as its command says."
+        elif change.kind == "sign":
+            why = "It moves against its command."
+        else:
+            why = "Each follows the other's command."
+        return replace(
+            fault, text=f"{fault.text} {why}", evidence=fault.evidence if speaks else None
+        )
 
     def _reading(self, changes: Sequence[Change]) -> Reading:
         """How columns are read with some changes."""
@@ -379,15 +397,28 @@ class _WiringSearch:
         A joint that turns the wrong way may be explained itself, and not those that carry it, whose
         inertia it changes: the signs of all are tried.
         """
-        bad = [dof for dof in bad if dof not in self.following]
         for dof in every:
-            if dof not in self.following:
-                yield Change("sign", "angle", (dof,))
+            of = "both" if dof in self.following else "angle"
+            yield Change("sign", of, (dof,))
         for pair in combinations(bad, 2):
-            yield Change("exchange", "angle", pair)
+            follow = self.following.intersection(pair)
+            if len(follow) != 1:
+                yield Change("exchange", "both" if follow else "angle", pair)
 
     def _of_units(self, reading: Reading, bad: Sequence[int]) -> Iterator[Change]:
-        """Changes of angles' units, of all that are of a kind and of single ones."""
+        """Changes of angles' units, of all that are of a kind and of single ones.
+
+        None that leaves a joint hardly any motion, as whatever is read so is explained by little.
+        """
+        actuators = self.readings.actuators_at
+        for change in self._of_any_units(reading, bad):
+            after = change.applied(reading, actuators)
+            moved = set(change.dofs).intersection(self.readings.evaluated)
+            if all(self.readings.extent(after, dof) > self._least(dof) for dof in moved):
+                yield change
+
+    def _of_any_units(self, reading: Reading, bad: Sequence[int]) -> Iterator[Change]:
+        """The same, however small the motion is then."""
         fits = self.readings.fits(reading)
         strange = self.settings.strange**2
         # Motion that is called tiny has no gravity that changes, and so none that is off.
@@ -407,6 +438,9 @@ class _WiringSearch:
                     yield Change("unit_factor", "angle", alike, factor)
                 if servos:
                     yield Change("unit_factor", "both", alike, factor)
+                    if len(alike) > 1:
+                        of_one = (dof for dof in alike if dof in self.following.intersection(bad))
+                        yield from (Change("unit_factor", "both", (dof,), factor) for dof in of_one)
         for dof in bad:
             if dof in self.following:
                 continue
@@ -421,10 +455,18 @@ class _WiringSearch:
         """Whether a factor is that of another unit."""
         return not 1 / self.settings.factor < factor < self.settings.factor
 
+    def _kind(self, dof: int) -> str:
+        """Of the joint of a degree of freedom: "hinge" or "slide"."""
+        return next(joint.kind for joint in self.readings.joints if joint.qvel == dof)
+
+    def _least(self, dof: int) -> float:
+        """How far that joint moves at least in any log."""
+        hinge = self._kind(dof) == "hinge"
+        return self.settings.least_angle if hinge else self.settings.least_travel
+
     def _known(self, factor: float, dof: int) -> float:
         """A factor, or that of the known unit that it is close to."""
-        (kind,) = [joint.kind for joint in self.readings.joints if joint.qvel == dof]
-        for known in UNITS.get(kind, ()):
+        for known in UNITS.get(self._kind(dof), ()):
             if abs(np.log(factor / known)) < self.settings.known:
                 return known
         return factor
@@ -455,7 +497,7 @@ class _WiringSearch:
             factor = self.readings.command_factor(reading, dof)
             if factor is None or factor < settings.torques:
                 continue
-            if dof in self.following | self.opposed:
+            if dof in self.following:
                 continue
             change = Change("torque_command", "command", (dof,))
             other = change.applied(reading, self.readings.actuators_at)
@@ -505,7 +547,8 @@ class _WiringSearch:
         gains = np.nansum([_gains(without[dof], after[dof]) for dof in own], axis=0)
         evidence = self._evidence(before_left, after_left, gains)
         of = change.of
-        if change.kind != "torque_command" and change.of != "both":
+        driven = all(dof in self.readings.actuators_at for dof in change.dofs)
+        if driven and change.kind != "torque_command" and change.of != "both":
             other = "command" if of == "angle" else "angle"
             inverse = 1 / change.factor
             twin = [*others, replace(change, of=other, factor=inverse)]
@@ -573,7 +616,12 @@ def _sentences(change: Change, of: str, names: Sequence[str], unit: str) -> tupl
     joint = f"joint {names[0]!r}"
     if len(names) > 1:
         joint = f"joints {', '.join(map(repr, names))}"
-    what = {"angle": "angle", "command": "command", EITHER: "angle, or its command,"}.get(of, "")
+    what = {
+        "angle": "angle has",
+        "command": "command has",
+        "both": "angle and its command have",
+        EITHER: "angle, or its command, has",
+    }[of]
     keys = {
         "angle": "`qpos` (and `qvel`)",
         "command": "`ctrl`",
@@ -583,12 +631,12 @@ def _sentences(change: Change, of: str, names: Sequence[str], unit: str) -> tupl
     entry = f"the entry of {names[0]!r} under {keys} in the mapping of the log"
     if change.kind == "sign":
         return (
-            f"The {joint} has the wrong sign: its {what} has the opposite sign of the model's.",
+            f"The {joint} has the wrong sign: its {what} the opposite sign of the model's.",
             f"give {entry} `sign: -1`, or turn the column's sign in the data.",
         )
     if change.kind == "exchange":
         one, other = names
-        moved = "command" if of == "command" else "angle"
+        moved = {"command": "command", "both": "angle and command"}.get(of, "angle")
         return (
             f"The joints {one!r} and {other!r} are exchanged: each has the other's {moved}.",
             f"exchange the columns of {one!r} and {other!r} under {keys} in the mapping of the "
@@ -615,138 +663,42 @@ def _sentences(change: Change, of: str, names: Sequence[str], unit: str) -> tupl
         multiplied = f"multiply the {change.of}'s column by {factor}"
     if of == "both":
         multiplied = f"multiply the columns by {factor}"
+    has = "have" if of == "both" else "has"
     column = "both are" if of == "both" else f"the {change.of} is"
     return (
-        f"The {whose} of the {joint} has another unit than the model's: {column} to be "
+        f"The {whose} of the {joint} {has} another unit than the model's: {column} to be "
         f"multiplied by {factor}{is_unit}.",
         f"state the `unit` of {entries}, or {multiplied}.",
     )
 
 
-def faults_of_followers(
-    simulator: RobotSimulator, trajectories: Trajectories, settings: WiringSettings = SETTINGS
-) -> tuple[WiringFault, ...]:
-    """Compare the joints of position servos with their commands.
-
-    Parameters
-    ----------
-    simulator : RobotSimulator
-        The robot.
-    trajectories : Trajectories
-        What was measured.
-    settings : WiringSettings
-        What counts.
-
-    Returns
-    -------
-    tuple of WiringFault
-        None where each joint follows its own command.
-    """
-    followers = _followers(simulator, trajectories, settings)
-    if followers is None:
-        return ()
-    names = [joint.name for joint in followers.joints]
-    correlation = followers.correlation
-    moves = followers.moves
-    slopes = followers.slopes
-    found: list[WiringFault] = []
-    exchanged: set[int] = set()
-    for j in np.flatnonzero(moves).tolist():
-        other = int(np.argmax(np.where(moves, np.abs(correlation[j]), 0.0)))
-        beyond = abs(correlation[j, other]) - abs(correlation[j, j])
-        back = int(np.argmax(np.where(moves, np.abs(correlation[other]), 0.0)))
-        strong = abs(correlation[j, other]) > settings.follows
-        if other > j and back == j and strong and beyond > settings.better:
-            exchanged |= {j, other}
-            text = (
-                f"The joints {names[j]!r} and {names[other]!r} are exchanged: each follows the "
-                "other's command."
-            )
-            found.append(WiringFault("exchange", f"{names[j]}, {names[other]}", text))
-    for j in np.flatnonzero(moves).tolist():
-        if j in exchanged or abs(correlation[j, j]) < settings.follows:
+def _alike(misread: Sequence[Misread]) -> list[tuple[str, list[Misread]]]:
+    """What is wrong by kind, joints of one kind together where they have the same unit."""
+    units: dict[tuple[str, int], list[Misread]] = {}
+    found: list[tuple[str, list[Misread]]] = []
+    for one in misread:
+        if one.kind != "unit_factor":
+            found.append((one.kind, [one]))
             continue
-        slope = float(slopes[j])
-        if slope < 0:
-            text = f"The joint {names[j]!r} has the wrong sign: it moves against its command."
-            found.append(WiringFault("sign", names[j], text))
-        elif not 1 / settings.factor < slope < settings.factor:
-            text = (
-                f"The joint {names[j]!r} moves {slope:.3g} times as far as its command says: units "
-                "differ by that factor, or the command is no position."
-            )
-            found.append(WiringFault("unit_factor", names[j], text))
+        key = (one.joints[0].kind, round(np.log(one.slope)))
+        if key not in units:
+            units[key] = []
+            found.append((one.kind, units[key]))
+        units[key].append(one)
+    return found
+
+
+def _faults_of(tracking: Tracking | None) -> tuple[WiringFault, ...]:
+    """What commands of position servos tell where forces are not known."""
+    found = []
+    for one in () if tracking is None else tracking.misread:
+        names = [joint.name for joint in one.joints]
+        text = {
+            "exchange": f"The joints {' and '.join(map(repr, names))} are exchanged: each follows "
+            "the other's command.",
+            "sign": f"The joint {names[0]!r} has the wrong sign: it moves against its command.",
+            "unit_factor": f"The joint {names[0]!r} moves {one.slope:.3g} times as far as its "
+            "command says: units differ by that factor, or the command is no position.",
+        }[one.kind]
+        found.append(WiringFault(one.kind, ", ".join(names), text))
     return tuple(found)
-
-
-@dataclass(frozen=True, eq=False)
-class _Followers:
-    """The n joints of servos beside all their commands.
-
-    correlation: (n, n) of each joint with each command, at the lag at which it is largest; slopes:
-    (n,) how far each moves for its own command; moves: (n,) which move at all.
-    """
-
-    joints: list[Joint]
-    correlation: Array
-    slopes: Array
-    moves: NDArray[np.bool_]
-
-
-def _followers(
-    simulator: RobotSimulator, trajectories: Trajectories, settings: WiringSettings
-) -> _Followers | None:
-    """How the joints of servos move with commands; None where there is no servo."""
-    servos = position_servos(simulator.model)
-    if not servos:
-        return None
-    log = UniformLog(simulator, trajectories)
-    joint_columns = [joint.qpos for joint, _ in servos]
-    servo_columns = [servo for _, servo in servos]
-    positions = [rows[:, joint_columns] for rows in log.positions]
-    commands = [rows[:, servo_columns] for rows in log.commands]
-    sizes = np.concatenate(_centred(commands)).std(axis=0)
-    spread = np.concatenate(_centred(positions)).std(axis=0)
-    moves = (sizes > settings.moving * sizes.max()) & (spread > 1e-9 * max(spread.max(), 1e-300))
-    longest = min(settings.lag / log.step, max(map(len, positions)) / 4)
-    lags = np.linspace(0.0, longest, settings.lags)
-    every = [_correlation(positions, commands, int(lag)) for lag in np.unique(lags.round())]
-    best = np.argmax(np.abs(every), axis=0)
-    correlation = np.take_along_axis(np.array(every), best[None], axis=0)[0]
-    slopes = np.diag(correlation) * spread / np.where(moves, sizes, np.inf)
-    return _Followers([joint for joint, _ in servos], correlation, slopes, moves)
-
-
-def _following(followers: _Followers | None, settings: WiringSettings) -> frozenset[int]:
-    """The degrees of freedom that follow their own servo's command closely."""
-    if followers is None:
-        return frozenset()
-    found = set()
-    for j in np.flatnonzero(followers.moves).tolist():
-        is_alike = 1 / settings.factor < followers.slopes[j] < settings.factor
-        if followers.correlation[j, j] > settings.closely and is_alike:
-            found.add(followers.joints[j].qvel)
-    return frozenset(found)
-
-
-def _opposed(followers: _Followers | None, settings: WiringSettings) -> list[int]:
-    """The degrees of freedom that move against their own servo's command as closely."""
-    if followers is None:
-        return []
-    own = np.diag(followers.correlation)
-    opposed = np.flatnonzero(followers.moves & (own < -settings.closely)).tolist()
-    return [followers.joints[j].qvel for j in opposed]
-
-
-def _centred(runs: list[Array]) -> list[Array]:
-    """Each run less its own mean."""
-    return [rows - rows.mean(axis=0) for rows in runs]
-
-
-def _correlation(positions: list[Array], commands: list[Array], lag: int) -> Array:
-    """(n, n) correlation of each position with each command of so many rows before."""
-    long_enough = [i for i, rows in enumerate(positions) if len(rows) > lag + 1]
-    later = np.concatenate(_centred([positions[i][lag:] for i in long_enough]))
-    before = np.concatenate(_centred([commands[i][: len(commands[i]) - lag] for i in long_enough]))
-    size = np.outer(later.std(axis=0), before.std(axis=0)) * len(later)
-    return np.asarray(later.T @ before / np.maximum(size, 1e-300))

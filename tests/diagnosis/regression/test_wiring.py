@@ -29,6 +29,7 @@ from dropo.studies.first_models.machines import (
     random_machine,
     recorded,
 )
+from tests.models.furuta import furuta_problem
 from tests.models.wiring import (
     DEGREES,
     MACHINES,
@@ -276,3 +277,65 @@ def test_a_servo_that_follows_is_wired_right_however_strong_its_model():
     assert wiring_of(problem).faults == ()
     faults = wiring_of(problem, WiringSettings(closely=2.0)).faults
     assert {fault.kind for fault in faults} == {"torque_command"}
+
+
+@pytest.mark.parametrize("place", [1, 2])
+def test_a_joint_both_of_whose_columns_are_turned_is_named(logs, place):
+    """It follows its command, and its weight and the joints beside it do not go with that."""
+    turned = read_otherwise(
+        logs("arm, 3 joints"), angles=scaled(place, -1), commands=scaled(place, -1)
+    )
+    (fault,) = wiring_of(turned).faults
+    assert (fault.kind, fault.target, fault.of) == ("sign", f"joint{place}", "both")
+    assert "angle and its command have the opposite sign" in fault.text
+
+
+@pytest.mark.parametrize("place", [1, 2])
+def test_one_joint_in_degrees_is_named(logs, place):
+    """Its angle and its command: none of the other joints has another unit."""
+    data = read_otherwise(
+        logs("arm, 3 joints"), angles=scaled(place, DEGREES), commands=scaled(place, DEGREES)
+    )
+    (fault,) = wiring_of(data).faults
+    assert (fault.kind, fault.target, fault.of) == ("unit_factor", f"joint{place}", "both")
+    assert fault.factor == pytest.approx(1 / DEGREES)
+
+
+def velocity_arm(rng):
+    """The log of two hinges under velocity servos, with its first model."""
+    design = Design(("hinge y", "hinge y"), (0.3, 0.3), (0.5, 0.3), (20.0, 20.0), loaded=False)
+    spec = first_model(design)
+    for drive in spec.actuators:
+        drive.set_to_velocity(20.0)
+    made = built(spec, random_machine(design, rng))
+    return problem_of("wheels", spec, recorded(made, True, 0.0, rng, runs=1))
+
+
+@pytest.mark.parametrize(
+    ("kind", "target", "angles", "commands"),
+    [
+        ("exchange", "joint0, joint1", exchanged(0, 1), None),
+        ("exchange", "joint0, joint1", None, exchanged(0, 1)),
+        ("unit_factor", "joint1", scaled(1, DEGREES), None),
+        ("unit_factor", "joint1", None, scaled(1, DEGREES)),
+        ("sign", "joint1", None, scaled(1, -1)),
+    ],
+)
+def test_speeds_tell_what_forces_do_not(kind, target, angles, commands):
+    """A gain takes up any unit of a command of speeds; the joint's own speed does not."""
+    log = velocity_arm(np.random.default_rng(66))
+    assert found(log) == []
+    (fault,) = wiring_of(read_otherwise(log, angles=angles, commands=commands)).faults
+    assert (fault.kind, fault.target) == (kind, target)
+    assert "command" in fault.text
+
+
+def test_angles_without_drives_have_their_unit_too():
+    """Of a pendulum that swings from a driven arm, both logged in degrees: it has no command that
+    could be wrong in its angle's place.
+    """
+    problem = furuta_problem(3)
+    degrees = read_otherwise(problem, angles=lambda rows: rows * DEGREES)
+    (fault,) = wiring_of(degrees).faults
+    assert (fault.kind, fault.target, fault.of) == ("unit_factor", "arm, swing", "angle")
+    assert fault.factor == pytest.approx(1 / DEGREES)
