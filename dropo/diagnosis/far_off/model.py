@@ -20,7 +20,7 @@ GAIN = "actuator_gain"
 """The effect that is on the scale of all forces."""
 
 ROOM = 10.0
-"""Multiple of the usual bounds of what is added to a number of the model."""
+"""Multiple of what is added to a number of the model that its bounds hold at least."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,7 +230,7 @@ def _reaching(quantity: Quantity, size: float) -> Quantity:
         lowest = 0.1 * (1 + size) - 1
     elif quantity.base is not None:
         # What is added to a number of the model may be much more than usual.
-        highest = ROOM * max(quantity.high, size)
+        highest = ROOM * size
     low = quantity.low if size >= quantity.low else lowest
     high = max(quantity.high, highest)
     return replace(quantity, low=low, high=high)
