@@ -47,6 +47,7 @@ from dropo.diagnosis.regression.terms import Term, terms_of
 from dropo.diagnosis.regression.wiring import wiring_faults
 from dropo.diagnosis.search.library import robot_of
 from dropo.diagnosis.search.plausibility import Plausibility
+from dropo.effects.bodies.payload import FAR
 from dropo.mjmodel.bodies import extent, moving_bodies, moving_mass
 from dropo.mjmodel.joints import joints
 from dropo.mjmodel.options import physics_step
@@ -109,7 +110,7 @@ class QuickSettings:
     certain: float = 3.0
     negligible: float = 1.0
     large: float = 0.03
-    reach: float = 1.5
+    reach: float = FAR
     bias: float = 0.02
     widen: float = 1.4
     explained: float = 0.1

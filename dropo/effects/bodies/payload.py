@@ -33,6 +33,9 @@ TRIED = np.array(
 )
 """Ten places, in half the body's reach from its centre, whose inertial numbers span all ten."""
 
+FAR = 1.5
+"""How far from a body's origin it may carry something, in how far it reaches itself."""
+
 
 def payload(context: EffectContext) -> Iterator[EffectInstance]:
     """A point mass that a body carries: at a place of its frame to be found, or at a named site.
@@ -57,9 +60,10 @@ def payload(context: EffectContext) -> Iterator[EffectInstance]:
             continue
         mass = float(context.model.body_mass[body])
         reach = extent(context.model, body)
+        far = FAR * reach
         quantities = (
             Quantity("mass", "kg", 0.0, 5 * mass, (0.1 * mass,)),
-            *(Quantity(axis, "m", -reach, reach, (0.5 * reach,), smooth=False) for axis in "xyz"),
+            *(Quantity(axis, "m", -far, far, (0.5 * reach,), smooth=False) for axis in "xyz"),
         )
         # Mass times place is no smooth function of both where the mass is 0.
         centre = np.clip(context.model.body_ipos[body], -0.5 * reach, 0.5 * reach)

@@ -4,7 +4,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from dropo.diagnosis.regression.quick import QuickDiagnose
+from dropo.core.contracts.effect import instances_of
+from dropo.diagnosis.regression.quick import QuickDiagnose, QuickSettings
+from dropo.diagnosis.search.library import robot_of
+from dropo.mjmodel.bodies import extent
 from dropo.studies.first_models.machines import CONTROL, measured, problem_of
 
 XML = """
@@ -71,3 +74,16 @@ def test_numbers_are_in_proportion_to_the_models_own_gain(gain, rotor):
     delay = causes["actuator_delay", "drive"].estimate["delay"]
     assert abs(delay.value - DELAY) < 3 * delay.se < DELAY
     assert any("scale of all forces" in text for text in found.warnings)
+
+
+def test_a_search_may_carry_a_load_as_far_out():
+    """As the regression may, beyond the body's own end, which a rotor that is missing asks for."""
+    simulator = robot_of(pendulum(np.random.default_rng(5)))
+    (load,) = (
+        one
+        for one in instances_of(simulator.effect_context, "payload")
+        if one.target == "beam" and not one.variant
+    )
+    reach = QuickSettings().reach * extent(simulator.model, 1)
+    assert [place.high for place in load.quantities[1:]] == pytest.approx([reach] * 3)
+    assert reach > 0.7
