@@ -112,35 +112,14 @@ def parts_of_payload(fitter: Fitter, solution: Solution) -> Array:
     others = np.delete(rows, range(rows.shape[1] - 1 - OF_A_PAYLOAD, rows.shape[1] - 1), axis=1)
     terms = fitter.columns_at(solution.delay, range(len(fitter.terms))) * weights
     columns = terms.reshape(len(rows), -1)
-    left = without_span(columns, others)
-    rest = without_span(left, without_span(payload, others))
+    left = _without_span(columns, others)
+    rest = _without_span(left, _without_span(payload, others))
     size = np.linalg.norm(left, axis=0)
     told = size > TOLD * np.linalg.norm(columns, axis=0)
     share = np.divide(np.linalg.norm(rest, axis=0), size, out=np.ones(len(size)), where=told)
     cosines = np.sqrt(np.maximum(1.0 - share**2, 0.0))
     cosines[solution.terms] = 0.0
     return np.asarray(cosines)
-
-
-def without_span(columns: Array, of: Array) -> Array:
-    """Project columns on what some others do not span.
-
-    Parameters
-    ----------
-    columns : (R, m) array
-        Any.
-    of : (R, k) array
-        The others; those next to 0 count for nothing.
-
-    Returns
-    -------
-    (R, m) array
-    """
-    size = np.linalg.norm(of, axis=0)
-    kept = of[:, size > 0] / size[size > 0]
-    basis, values, _ = np.linalg.svd(kept, full_matrices=False)
-    basis = basis[:, values > TOLD]
-    return np.asarray(columns - basis @ (basis.T @ columns))
 
 
 def most_plausible(
@@ -208,3 +187,12 @@ def _is_beside_mass(fitter: Fitter, solution: Solution, i: int) -> bool:
     terms = fitter.terms
     heavy = {terms[k].target for k in solution.terms if terms[k].family == "mass"}
     return terms[i].family in INERTIAL and terms[i].target in heavy
+
+
+def _without_span(columns: Array, of: Array) -> Array:
+    """The columns (R, m) less what others (R, k) span; those next to 0 count for nothing."""
+    size = np.linalg.norm(of, axis=0)
+    kept = of[:, size > 0] / size[size > 0]
+    basis, values, _ = np.linalg.svd(kept, full_matrices=False)
+    basis = basis[:, values > TOLD]
+    return np.asarray(columns - basis @ (basis.T @ columns))
