@@ -200,8 +200,13 @@ def wiring_of(problem: Problem, settings: WiringSettings = SETTINGS) -> Wiring:
     servos = [one for one in tracked if one is not None]
     following = frozenset[int]().union(*(one.following for one in servos))
     search = _WiringSearch(readings, settings, following)
-    found = search.of_tracking([misread for one in servos for misread in one.misread_closely])
-    return found if found.faults else search.run()
+    misread = [each for one in servos for each in one.misread_closely]
+    found = search.of_tracking(misread, explained=True)
+    if not found.faults:
+        found = search.run()
+    if not found.faults:
+        found = search.of_tracking([one for one in misread if one.kind == "sign"])
+    return found
 
 
 def wiring_faults(problem: Problem, settings: WiringSettings = SETTINGS) -> tuple[WiringFault, ...]:
@@ -278,8 +283,8 @@ class _WiringSearch:
             changes = [change for change, _ in certain]
         return []
 
-    def of_tracking(self, misread: Sequence[Misread]) -> Wiring:
-        """Find the changes that commands tell which joints follow, whatever forces say.
+    def of_tracking(self, misread: Sequence[Misread], *, explained: bool = False) -> Wiring:
+        """Find the changes that commands tell which joints follow.
 
         Forces tell whether the angle is wrong or its command, if anything does.
 
@@ -287,6 +292,8 @@ class _WiringSearch:
         ----------
         misread : sequence of Misread
             What commands tell.
+        explained : bool
+            Whether forces must be explained then; else it counts whatever they say.
 
         Returns
         -------
@@ -295,21 +302,32 @@ class _WiringSearch:
         changes: list[Change] = []
         for kind, alike in _alike(misread):
             dofs = tuple(joint.qvel for one in alike for joint in one.joints)
-            slope = alike[0].slope
-            if kind == "unit_factor":
-                # Forces tell it exactly, which come of how far a servo is behind.
-                exact = self.readings.command_factor(self.readings.plain, dofs[0])
-                if exact is not None and np.isfinite(exact):
-                    slope = exact
-                slope = self._known(slope, dofs[0])
-            pair = (
-                Change(kind, "angle", dofs, 1 / slope),
-                Change(kind, "command", dofs, slope),
-            )
-            changes.append(min(pair, key=lambda one: self._left_with([*changes, one])))
+            slope = self._slope(kind, alike[0])
+            by_angle = Change(kind, "angle", dofs, 1 / slope)
+            by_command = Change(kind, "command", dofs, slope)
+            left = self._left_with([*changes, by_command])
+            better = self.settings.equal * self._left_with([*changes, by_angle]) < left
+            change = by_angle if better else by_command
+            if not explained or self._explains([*changes, change], dofs):
+                changes.append(change)
         if not changes:
             return Wiring(())
         return Wiring(tuple(self._tracked(one, changes) for one in changes), self._reading(changes))
+
+    def _slope(self, kind: str, misread: Misread) -> float:
+        """How far a joint moves for its command: 1, or a known unit where that is wrong."""
+        if kind != "unit_factor":
+            return 1.0
+        (joint,) = misread.joints
+        # Forces tell it exactly, which come of how far a servo is behind.
+        exact = self.readings.command_factor(self.readings.plain, joint.qvel)
+        known = exact is not None and np.isfinite(exact)
+        return self._known(exact if exact is not None and known else misread.slope, joint.qvel)
+
+    def _explains(self, changes: Sequence[Change], dofs: Sequence[int]) -> bool:
+        """Whether changes leave little at some joints."""
+        after = self.readings.fits(self._reading(changes))
+        return all(_left(after[dof]) < self.settings.explained**2 for dof in dofs if dof in after)
 
     def _tracked(self, change: Change, changes: Sequence[Change]) -> WiringFault:
         """What commands tell, with the evidence of forces where these speak for it, too."""
@@ -338,9 +356,17 @@ class _WiringSearch:
         return _total(self.readings.fits(self._reading(changes)))
 
     def _helps(self, changes: list[Change], change: Change) -> bool:
-        """Whether one more change removes enough at the joints that it names."""
+        """Whether one more change removes enough at the joints that it names.
+
+        Both signs of one joint turn its own forces around, as a load on its other side does: what
+        they remove at the other joints counts.
+        """
         now = self.readings.fits(self._reading(changes))
         after = self.readings.fits(self._reading([*changes, change]))
+        if change.kind == "sign" and change.of == "both":
+            others = [dof for dof in now if dof not in change.dofs]
+            shares = [_left(after[dof]) / max(_left(now[dof]), 1e-12) for dof in others]
+            return bool(shares) and float(np.median(shares)) < 1 - self.settings.each
         own = [dof for dof in change.dofs if dof in now]
         left = sum(_left(after[dof]) for dof in own)
         return left < (1 - self.settings.step) * sum(_left(now[dof]) for dof in own)
