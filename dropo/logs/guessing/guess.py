@@ -48,6 +48,15 @@ FOLLOWS: dict[str | None, float] = {
 }
 """Correlation with the positions from which on commands of unknown kind are commanded positions, by
 what the model's actuators take."""
+KINDS = {
+    "rad": words.POSITION,
+    "m": words.POSITION,
+    "rad/s": words.VELOCITY,
+    "m/s": words.VELOCITY,
+    "N m": words.EFFORT,
+    "N": words.EFFORT,
+}
+"""What is commanded in an SI unit; currents and voltages may command anything."""
 UNKNOWN = "nothing says otherwise"
 """Why a command whose joint has no position is in its unit."""
 FOLLOWS_OTHERWISE = 0.9
@@ -195,7 +204,7 @@ class _Guesser:
         fixed = {}
         for name in names:
             wanted = self._given_entry(quantity, name).get("column")
-            there = (*self._columns.all, *self._columns.beside)
+            there = columns if quantity == "ctrl" else (*self._columns.all, *self._columns.beside)
             found = next((one for one in there if one.column == wanted), None)
             if found is not None:
                 fixed[name] = found
@@ -579,12 +588,15 @@ class _Guesser:
     def find_commands(self) -> None:
         """Find what was commanded to each actuator."""
         names, owners = self._driven()
-        by_kind = self._commands_among(self._columns.numeric_of(words.COMMAND), names, owners)
+        given = list(self._given_commands())
+        columns = self._columns.numeric_of(words.COMMAND)
+        by_kind = self._commands_among(columns, names, owners) if columns else {}
         if not by_kind:
             beside = [one for one in self._columns.beside if one.quantity == words.COMMAND]
             by_kind = self._commands_among(self._columns.numeric(beside), names, owners)
             self._say_files(by_kind)
-        efforts, _ = self._match("ctrl", self._columns.numeric_of(words.EFFORT), names)
+        measured = [one for one in self._columns.numeric_of(words.EFFORT) if one not in given]
+        efforts, _ = self._match("ctrl", measured, names)
         if efforts and words.EFFORT not in by_kind:
             by_kind["measured torque"] = efforts
         if not by_kind and self._robot.actuators and "ctrl" not in self._given:
@@ -610,10 +622,12 @@ class _Guesser:
         self, candidates: Sequence[ColumnName], names: list[str], owners: dict[str, str]
     ) -> dict[str, dict[str, ColumnName]]:
         """By the kind of command which column is that of each actuator."""
-        candidates = [one for one in candidates if not self._is_supply(one)]
+        given = self._given_commands()
+        free = [one for one in candidates if one not in given and not self._is_supply(one)]
+        kinds = {one: one.kind for one in free} | given
         by_kind: dict[str, dict[str, ColumnName]] = {}
         for kind in (words.POSITION, words.EFFORT, words.VELOCITY, None):
-            of_kind = [one for one in candidates if one.kind == kind]
+            of_kind = [one for one, its in kinds.items() if its == kind]
             found = self._beside_positions(of_kind, owners)
             if len(found) < len(of_kind):
                 rest = [one for one in of_kind if one not in found.values()]
@@ -629,6 +643,22 @@ class _Guesser:
             if found:
                 by_kind.setdefault(kind or self._kind_of(found, owners), found)
         return by_kind
+
+    def _given_commands(self) -> dict[ColumnName, str | None]:
+        """The commands' columns that the given mapping names, and what each is a command of.
+
+        Its unit there says it; without one it is what the model's actuators take.
+        """
+        entries = self._given.get("ctrl")
+        found: dict[ColumnName, str | None] = {}
+        for name in entries if isinstance(entries, dict) else ():
+            entry = self._given_entry("ctrl", name)
+            there = (*self._columns.all, *self._columns.beside)
+            column = next((one for one in there if one.column == entry.get("column")), None)
+            if column is not None:
+                unit = unit_named(str(entry.get("unit", ""))) or ("", 1.0)
+                found[column] = KINDS.get(unit[0]) or self._kind_wanted() or column.kind
+        return found
 
     def _is_supply(self, column: ColumnName) -> bool:
         """Whether volts are those that a machine is fed with, which hardly change."""

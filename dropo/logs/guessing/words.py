@@ -79,6 +79,7 @@ _EMPTY = (
 TIME_UNITS = tuple(word for unit in ("ms", "us", "ns") for word in _UNITS[unit])
 """Words of units that only stamps have."""
 _PER_SECOND = ("s", "sec", "second")
+_SPEEDS = ("deg/s", "rad/s", "rpm", "rev/s")
 _FORCES = ("N m", "mN m", "N", "V", "mV", "A", "mA")
 """Units of what drives a motor."""
 _SIGNS = {
@@ -189,8 +190,10 @@ def read_name(
             quantity = COMMAND
     if unit in _FORCES:
         quantity, kind = _of_force(quantity, kind, unit)
-    if unit in ("deg/s", "rad/s", "rpm", "rev/s") and quantity in (None, POSITION):
+    if unit in _SPEEDS and quantity in (None, POSITION):
         quantity = VELOCITY
+    if unit in _SPEEDS and quantity == COMMAND and kind in (None, POSITION):
+        kind = VELOCITY
     rest = [word for word in words if word in own or word not in (*used, *of_unit, *_EMPTY)]
     return ColumnName(column, topic, quantity, kind, unit, tuple(rest))
 

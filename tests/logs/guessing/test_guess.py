@@ -537,6 +537,35 @@ def test_currents_and_commanded_velocities_have_their_units(tmp_path: Path) -> N
     assert units == {"hip_servo": "rad/s", "knee_servo": "deg/s"}
 
 
+@pytest.mark.parametrize("name", ["{}_cmd_deg_s", "{} cmd [deg/s]", "{}_target_rad_per_s"])
+def test_a_unit_of_speed_says_that_speeds_were_commanded(tmp_path: Path, name: str) -> None:
+    """Degrees stand for positions, and degrees a second do not."""
+    wheels = robot(SERVOS.replace("<position", "<velocity").replace('kp="20"', 'kv="2"'))
+    columns = {"t": TIME, "hip_angle_deg": np.degrees(HIP), "knee_angle_deg": np.degrees(KNEE)}
+    speeds = {name.format("hip"): SPEEDS[0], name.format("knee"): SPEEDS[1]}
+    found = guess(tmp_path, columns | speeds, wheels)
+    assert list(columns_of(found, "ctrl").values()) == list(speeds)
+    with pytest.raises(Incompatible, match="take position commands, and the log has velocity"):
+        guess(tmp_path, columns | speeds)
+
+
+@pytest.mark.parametrize("name", ["{}_cmd_deg", "{} foo", "{} torque"])
+def test_the_kind_of_a_command_that_a_mapping_gives(tmp_path: Path, name: str) -> None:
+    """Its unit there says it, else it is what the model takes, whatever the name looks like."""
+    wheels = robot(SERVOS.replace("<position", "<velocity").replace('kp="20"', 'kv="2"'))
+    columns = {"t": TIME, "hip q": HIP, "knee q": KNEE}
+    told = {name.format("hip"): SPEEDS[0], name.format("knee"): SPEEDS[1]}
+    for unit in ({"unit": "deg/s"}, {}):
+        hip, knee = ({"column": column} | unit for column in told)
+        given = {"ctrl": {"hip_servo": hip, "knee_servo": knee}}
+        found = guess(tmp_path, columns | told, wheels, given=given)
+        assert list(columns_of(found, "ctrl").values()) == list(told)
+        assert any("commands (velocity)" in line for line in found.lines)
+    given = {"ctrl": {"hip_servo": hip | {"unit": "deg"}, "knee_servo": knee | {"unit": "deg"}}}
+    with pytest.raises(Incompatible, match="and the log has position alone"):
+        guess(tmp_path, columns | told, wheels, given=given)
+
+
 def test_late_followers_are_told_in_their_own_unit(tmp_path: Path) -> None:
     """Angles in counts, and goals in rad that joints follow a quarter of a turn late."""
     late = {"hip": 0.5 * np.cos(3 * TIME), "knee": 0.4 * np.cos(3 * TIME)}
