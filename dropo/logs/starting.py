@@ -21,7 +21,7 @@ from dropo.core.services.validation import Array
 from dropo.data.checks.sensors import unit_of
 from dropo.logs.guessing.files_beside import own_recordings
 from dropo.logs.guessing.guess import Ask, guess_mapping
-from dropo.logs.guessing.guessed import NAMED, Guess
+from dropo.logs.guessing.guessed import NAMED, Guess, in_one_line
 from dropo.logs.guessing.servos import estimate_drives
 from dropo.logs.import_files import (
     PROBLEM,
@@ -224,9 +224,10 @@ def _check_folder(folder: Path, mapping: Path | None) -> None:
 def _describe_undecided(guess: Guess) -> str:
     """What was not decided, and what to do, in a sentence."""
     questions = " ".join(guess.undecided)
+    answers = [f"`{key}: {in_one_line(value)}`" for key, value in guess.answers.items()]
     return (
         f"{questions} Write the answer into a mapping file and give it with --map, such as "
-        "`qpos: {JOINT: {column: NAME, unit: deg}}`: what it does not say is guessed."
+        f"{' and '.join(answers)}: what it does not say is guessed."
     )
 
 

@@ -242,6 +242,43 @@ def test_degrees_mapped_as_radians(example: Path) -> None:
     assert not (example / "out").exists()
 
 
+def test_a_question_about_commands_is_answered_under_ctrl(example: Path) -> None:
+    """What is proposed names the columns in question, and is an answer."""
+    log = logs(example)[0]
+    text = log.read_text().replace("shoulder target", "shoulder foo")
+    log.write_text(text.replace("elbow target", "elbow [foo]"))
+    with pytest.raises(BadArgument) as refusal:
+        init(example / "arm.xml", log, example / "out")
+    said = str(refusal.value)
+    assert said.startswith("Are 'shoulder foo', 'elbow [foo]' what the actuators were told?")
+    assert "qpos" not in said
+    proposed = said.split("`")[1]
+    assert proposed == (
+        'ctrl: {shoulder_servo: {column: "shoulder foo"}, elbow_servo: {column: "elbow [foo]"}}'
+    )
+    (example / "mine.yaml").write_text(proposed + "\n")
+    found = init(example / "arm.xml", log, example / "out", mapping=example / "mine.yaml")
+    assert found.mapping["ctrl"]["elbow_servo"]["column"] == "elbow [foo]"
+
+
+def test_questions_about_units_and_time_have_their_own_answers(example: Path) -> None:
+    """A rate, and a unit; what is proposed of the unit is an answer."""
+    turns = np.sin(np.arange(240) / 20)
+    rows = [f"{15 * turn},{9 * turn}" for turn in turns]
+    (example / "log.csv").write_text("\n".join(["shoulder q,elbow q", *rows]) + "\n")
+    free = re.sub(' range="[^"]*"', "", (example / "arm.xml").read_text())
+    (example / "free.xml").write_text(free)
+    with pytest.raises(BadArgument) as refusal:
+        init(example / "free.xml", example / "log.csv", example / "out")
+    *_, rate, unit = str(refusal.value).split("`")[1::2]
+    assert (rate, unit) == ("rate: HZ", "qpos: {shoulder: {unit: rad}}")
+    (example / "mine.yaml").write_text(f"rate: 100\n{unit}\n")
+    found = init(
+        example / "free.xml", example / "log.csv", example / "out", mapping=example / "mine.yaml"
+    )
+    assert found.mapping["qpos"]["elbow"]["unit"] == "rad"
+
+
 def test_robots_by_name(example: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A description's file; of an unknown name the nearest; without the package, how to get it."""
     monkeypatch.setitem(sys.modules, "robot_descriptions._descriptions", None)

@@ -161,11 +161,14 @@ class _Guesser:
 
     # what all steps need
 
-    def _decide(self, question: str, options: Sequence[str]) -> str | None:
-        """The answer to a question on a terminal; elsewhere None, and the question is noted."""
+    def _decide(self, question: str, options: Sequence[str], answer: dict[str, Any]) -> str | None:
+        """The answer to a question on a terminal; elsewhere None, and the question is noted.
+
+        answer: the entries of a mapping with which it is answered by the first option.
+        """
         if self._ask is not None:
             return self._ask(question, options)
-        self.guess.undecided.append(f"{question} ({' or '.join(options)})")
+        self.guess.ask(f"{question} ({' or '.join(options)})", answer)
         return None
 
     def _entry(self, column: ColumnName, scale: Scale) -> dict[str, Any]:
@@ -242,9 +245,10 @@ class _Guesser:
         self._columns.used |= set(self._columns.of(words.TIME))
         if not candidates:
             if self._given.get("rate") is None:
-                self.guess.undecided.append(
+                self.guess.ask(
                     f"{self._log.path} has no column of time stamps{standing}: "
-                    "how many rows a second (`rate: HZ`)?"
+                    "how many rows a second?",
+                    {"rate": "HZ"},
                 )
             return
         column = candidates[0]
@@ -402,6 +406,7 @@ class _Guesser:
             answer = self._decide(
                 f"Which column is the position of {name!r}?",
                 [one.column for one in options[:LISTED]],
+                {"qpos": {name: {"column": options[0].column}}},
             )
             column = next((one for one in left if one.column == answer), None)
             if column is not None:
@@ -425,7 +430,8 @@ class _Guesser:
         )
         if isinstance(scale, Choice):
             question = f"{scale.what}: in which unit are {quote(columns)}?"
-            answer = self._decide(question, scale.units) or scale.units[0]
+            entry = {"qpos": {hinges[0]: {"unit": scale.units[0]}}}
+            answer = self._decide(question, scale.units, entry) or scale.units[0]
             scale = answered_unit(values, answer)
         for name, column in zip(hinges, columns, strict=True):
             self._keep_position(name, column, scale)
@@ -480,7 +486,7 @@ class _Guesser:
                 self._refuse_positions(self._columns.numeric_of(words.POSITION))
             self.guess.lines.append(self._say_no_pose(free[0].name))
             return
-        turn = self._order_of(base, values)
+        turn = self._order_of(base, values, free[0].name)
         seven = [*base.position, *turn]
         self._columns.used |= set(seven)
         entry: dict[str, Any] = {"columns": [one.column for one in seven]}
@@ -504,15 +510,22 @@ class _Guesser:
             )
         return f"{said}: it is estimated from the IMU and from feet that stand on the ground"
 
-    def _order_of(self, base: BaseColumns, values: dict[ColumnName, Array]) -> list[ColumnName]:
+    def _order_of(
+        self, base: BaseColumns, values: dict[ColumnName, Array], joint: str
+    ) -> list[ColumnName]:
         """The columns of the quaternion in the order w, x, y, z."""
         if base.named:
             return list(base.quaternion)
+        given = self._given_entry("qpos", joint).get("columns")
+        if isinstance(given, list) and {one.column for one in base.quaternion} <= set(given):
+            return sorted(base.quaternion, key=lambda one: given.index(one.column))
         parts = np.stack([values[one] for one in base.quaternion], axis=1)
         order = quaternion_order(parts)
         if order is None:
             question = f"In which order is the quaternion {quote(base.quaternion)}?"
-            order = self._decide(question, ["wxyz", "xyzw"])
+            seven = [one.column for one in (*base.position, *base.quaternion)]
+            answer = {"qpos": {joint: {"columns": seven}}}
+            order = self._decide(question, ["wxyz", "xyzw"], answer)
         else:
             self.guess.lines.append(
                 f"quaternion: in the order {', '.join(order)}, since a base is upright most of "
@@ -615,7 +628,8 @@ class _Guesser:
         if 2 * len(found) < len(names) or not found:
             return {}
         question = f"Are {quote(list(found.values()))} what the actuators were told?"
-        answer = self._decide(question, ["yes", "no"])
+        entries = {name: {"column": column.column} for name, column in found.items()}
+        answer = self._decide(question, ["yes", "no"], {"ctrl": entries})
         return {self._kind_of(found, owners): found} if answer == "yes" else {}
 
     def _commands_among(

@@ -518,9 +518,19 @@ def test_a_quaternion_whose_order_is_not_known_is_asked(tmp_path: Path) -> None:
     assert question.startswith("In which order is the quaternion 'base_quat[0]'")
     assert question.endswith("(wxyz or xyzw)")
     for order, wanted in (("wxyz", (0, 1, 2, 3)), ("xyzw", (3, 0, 1, 2))):
-        found = guess(tmp_path, columns, robot(FREE), ask=lambda asked, options, said=order: said)
-        names = found.mapping["qpos"]["root"]["columns"][3:]
+        told = guess(tmp_path, columns, robot(FREE), ask=lambda asked, options, said=order: said)
+        names = told.mapping["qpos"]["root"]["columns"][3:]
         assert names == [f"base_quat[{i}]" for i in wanted]
+    asked = found.answers["qpos"]["root"]["columns"]
+    assert asked == [
+        *(f"base_pos_{part}" for part in "xyz"),
+        *(f"base_quat[{i}]" for i in range(4)),
+    ]
+    turned = [*asked[:3], asked[6], *asked[3:6]]
+    for answer in (asked, turned):
+        found = guess(tmp_path, columns, robot(FREE), given={"qpos": {"root": {"columns": answer}}})
+        assert not found.undecided
+        assert found.mapping["qpos"]["root"]["columns"] == answer
 
 
 def test_currents_and_commanded_velocities_have_their_units(tmp_path: Path) -> None:
