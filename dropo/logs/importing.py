@@ -466,6 +466,7 @@ def _gather(
 
 def _count_rows(logged: LogRun, run: LogRun, spans: Sequence[GridSpan]) -> dict[str, Any]:
     """What import.json says of the rows of a run, before and after it was prepared."""
+    measured = {series.label for series in logged.series}
     dropped = logged.without_stamp
     for source in dict.fromkeys(series.channel.source for series in logged.series):
         before = [len(one.time) for one in logged.series if one.channel.source == source]
@@ -475,7 +476,7 @@ def _count_rows(logged: LogRun, run: LogRun, spans: Sequence[GridSpan]) -> dict[
         "log": str(run.path),
         "read": logged.rows,
         "dropped": dropped,
-        "resampled": sum(len(span.at) for span in spans if span.resampled),
+        "resampled": sum(len(span.at) for span in spans if span.resampled & measured),
         "kept": sum(len(span.at) for span in spans),
         "trajectories": len(spans),
     }

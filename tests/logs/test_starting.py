@@ -135,6 +135,20 @@ def test_one_factor_for_many_places(example: Path) -> None:
         load(path, threads=1)
 
 
+def test_rows_that_stay_as_they_are_count_as_such(example: Path) -> None:
+    """Velocities are estimated between the rows; what was logged is on the grid."""
+    found = init(example / "arm.xml", logs(example), example / "out").imported
+    assert {rows["resampled"] for rows in found.rows.values()} == {0}
+    assert "0 rows are resampled" in str(found)
+    log = logs(example)[0]
+    head, *table = [line.split(",") for line in log.read_text().splitlines()]
+    late = [[f"{float(row[0]) + 3 * (i % 2)}", *row[1:]] for i, row in enumerate(table)]
+    log.write_text("\n".join(map(",".join, [head, *late])) + "\n")
+    found = init(example / "arm.xml", log, example / "out").imported
+    (rows,) = found.rows.values()
+    assert rows["resampled"] == rows["kept"]
+
+
 def test_unknown_runs_are_named(example: Path) -> None:
     init(example / "arm.xml", logs(example), example / "out")
     path = example / "out" / "problem.yaml"

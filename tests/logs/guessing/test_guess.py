@@ -522,10 +522,7 @@ def test_a_quaternion_whose_order_is_not_known_is_asked(tmp_path: Path) -> None:
         names = told.mapping["qpos"]["root"]["columns"][3:]
         assert names == [f"base_quat[{i}]" for i in wanted]
     asked = found.answers["qpos"]["root"]["columns"]
-    assert asked == [
-        *(f"base_pos_{part}" for part in "xyz"),
-        *(f"base_quat[{i}]" for i in range(4)),
-    ]
+    assert asked == [name for name in columns if name.startswith("base_")]
     turned = [*asked[:3], asked[6], *asked[3:6]]
     for answer in (asked, turned):
         found = guess(tmp_path, columns, robot(FREE), given={"qpos": {"root": {"columns": answer}}})
