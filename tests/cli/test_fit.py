@@ -19,7 +19,6 @@ from dropo.cli.support.output import STOPPING
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.fits.fit import Fit
 from dropo.core.services.files.evaluation_log import read_log
-from dropo.core.services.registry import HINT
 from dropo.core.services.tables import estimate
 from dropo.problems.loading import load
 from dropo.studies.unlogged_states.machines import ARM, simulate_log
@@ -199,19 +198,19 @@ def test_the_problem_suggests_settings(problem: Path, monkeypatch: pytest.Monkey
 REFUSALS = {
     "unknown method": (
         ["--method", "drop"],
-        f"No method called 'drop'. Did you mean 'dropo'? {HINT}",
+        "No method called 'drop'. Did you mean 'dropo'?",
     ),
     "unknown optimizer": (
         ["--optimizer", "cma"],
-        f"No optimizer called 'cma'. Did you mean 'cma-es'? {HINT}",
+        "No optimizer called 'cma'. Did you mean 'cma-es'?",
     ),
     "unknown family": (
         ["--family", "uniforn"],
-        f"No family called 'uniforn'. Did you mean 'uniform'? {HINT}",
+        "No family called 'uniforn'. Did you mean 'uniform'?",
     ),
     "unknown likelihood": (
         ["--likelihood", "monte"],
-        f"No likelihood called 'monte'. Did you mean 'monte-carlo'? {HINT}",
+        "No likelihood called 'monte'. Did you mean 'monte-carlo'?",
     ),
     "a setting of another method": (
         ["--method", "least-squares", "--family", "full"],

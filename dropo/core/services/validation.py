@@ -129,11 +129,16 @@ def nearest(name: object, valid: Iterable[str]) -> str:
         A sentence with the nearest valid name, else with the first twelve.
     """
     options = sorted(filter(None, valid))
-    near = difflib.get_close_matches(str(name), options, n=1, cutoff=0.5)
+    near = _alike(name, options)
     if near:
         return f"Did you mean {near[0]!r}?"
     shown = ", ".join(options[:12]) + (", ..." if len(options) > 12 else "")
     return f"There is {shown}." if options else "There is none."
+
+
+def _alike(name: object, options: Iterable[str]) -> list[str]:
+    """The option that a name is nearly, if there is one."""
+    return difflib.get_close_matches(str(name), filter(None, options), n=1, cutoff=0.5)
 
 
 def known(kind: str, name: str, valid: Iterable[str], hint: str = "") -> str:
@@ -148,7 +153,7 @@ def known(kind: str, name: str, valid: Iterable[str], hint: str = "") -> str:
     valid : iterable of str
         The valid names.
     hint : str
-        A sentence that says what else to do, else "".
+        A sentence that says what else to do where no valid name is near, else "".
 
     Returns
     -------
@@ -163,5 +168,5 @@ def known(kind: str, name: str, valid: Iterable[str], hint: str = "") -> str:
     options = list(valid)
     if name not in options:
         said = f"No {kind} called {name!r}. {nearest(name, options)}"
-        raise UnknownName(f"{said} {hint}".rstrip())
+        raise UnknownName(said if _alike(name, options) else f"{said} {hint}".rstrip())
     return name
