@@ -19,7 +19,7 @@ from dropo.diagnosis.findings.remains.unexplained_forces import without_impulses
 from dropo.diagnosis.laws.discovery import WithLaws
 from dropo.diagnosis.parts import Leader
 from dropo.diagnosis.search.bounds import at_bounds
-from dropo.diagnosis.search.library import robot_of
+from dropo.diagnosis.search.library import plugin_effects, robot_of
 from dropo.diagnosis.search.linearization import Library, shift_linearization
 from dropo.diagnosis.search.review import Review
 from dropo.diagnosis.search.selection import Selection
@@ -292,7 +292,7 @@ class SearchSetup:
         tuple of str
         """
         if self.explained is not None:
-            return (*self.wiring, *self.explained.warnings)
+            return (*self.wiring, *self.explained.warnings, *_not_looked_for(self.problem))
         return (*self.wiring, *at_bounds(self.library, last.theta, last.free, last.accepted))
 
     @property
@@ -353,6 +353,17 @@ class SearchSetup:
         out = np.zeros(len(self.library.simulator.space))
         out[: len(values)] = values
         return out
+
+
+def _not_looked_for(problem: Problem) -> list[str]:
+    """That effects of plug-ins, which the robot could have, are unknown to whole motions."""
+    unknown = plugin_effects(robot_of(problem))
+    if not unknown:
+        return []
+    return [
+        "The model is far off, and whole motions were fitted: effects of plug-ins were not looked"
+        f" for: {', '.join(unknown)}. Diagnose the extended problem, or name them with --effects."
+    ]
 
 
 @dataclass(frozen=True, eq=False)

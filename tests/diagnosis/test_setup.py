@@ -5,9 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from dropo.core.contracts.effect import EffectInstance, Quantity
+from dropo.core.services import registry
 from dropo.diagnosis.search.library import instances_for
 from dropo.diagnosis.search.linearization import Library
-from dropo.diagnosis.setup import extended_problem
+from dropo.diagnosis.setup import SearchSetup, extended_problem
 from tests.models.hidden_in_arm import problem
 
 
@@ -30,3 +32,26 @@ def test_two_changes_of_one_body_act_as_in_the_search(first):
         extended.simulator.predict(declared, segments),
         library.simulator.predict(theta[None], segments),
     )
+
+
+def _own_drag(robot):
+    size = Quantity("drag", "N m s/rad", 0.0, 10.0, probes=(0.1,))
+    return [EffectInstance("own_drag", "elbow", (size,), force=lambda state, _: 0 * state.qvel)]
+
+
+@pytest.mark.parametrize("far_off", [False, True])
+def test_effects_of_plugins_that_were_not_looked_for_are_named(far_off, monkeypatch):
+    """Whole motions are fitted by known effects alone; a search by windows looks for all."""
+    given = problem([], name="position-arm", seed=3000)
+    explained = SimpleNamespace(warnings=()) if far_off else None
+    library = Library(given.simulator, (), len(given.space))
+    nominal = np.array(given.simulator.nominal)
+    last = SimpleNamespace(theta=nominal, free=np.array([], dtype=np.int64), accepted=())
+    none = (None, None, None, np.array([], dtype=np.int64), 0, ())
+    setup = SearchSetup(given, explained, library, *none)
+    assert setup.warnings_of(last) == ()
+    monkeypatch.setitem(registry._registered["effects"], "own_drag", _own_drag)
+    said = setup.warnings_of(last)
+    assert len(said) == far_off
+    if far_off:
+        assert "plug-ins were not looked for: own_drag. Diagnose the extended problem" in said[0]

@@ -17,7 +17,6 @@ from dropo.core.numerics.tails import student_tail
 from dropo.core.records.trajectories import Trajectories
 from dropo.core.services.blas_threads import one_blas_thread
 from dropo.core.services.errors import BadArgument
-from dropo.core.services.registry import plugin_names
 from dropo.core.services.validation import Array, require
 from dropo.diagnosis.findings.premises.chattering import chattering_sentences
 from dropo.diagnosis.findings.premises.still import still_sentences
@@ -45,7 +44,7 @@ from dropo.diagnosis.regression.resimulation import ResimulationSettings, resimu
 from dropo.diagnosis.regression.result import JointForces, QuickDiagnosis, WiringFault
 from dropo.diagnosis.regression.terms import Term, terms_of
 from dropo.diagnosis.regression.wiring import wiring_faults
-from dropo.diagnosis.search.library import robot_of
+from dropo.diagnosis.search.library import plugin_effects, robot_of
 from dropo.diagnosis.search.plausibility import Plausibility
 from dropo.effects.bodies.payload import FAR
 from dropo.mjmodel.bodies import extent, moving_bodies, moving_mass
@@ -624,13 +623,7 @@ def _warnings(simulator: RobotSimulator, estimate: Missing, causes: bool) -> lis
 
 def _not_looked_for(simulator: RobotSimulator) -> list[str]:
     """That effects of plug-ins, which the robot could have, are unknown to the regression."""
-    fixed = [instance for instance, _ in simulator.fixed]
-    own = {instance.effect for instance in (*simulator.effects, *fixed)}
-    unknown = [
-        name
-        for name in plugin_names("effects")
-        if name not in own and instances_of(simulator.effect_context, name)
-    ]
+    unknown = plugin_effects(simulator)
     if not unknown:
         return []
     return [

@@ -10,7 +10,7 @@ from dropo.core.contracts.effect import EffectInstance, instances_of
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import BadArgument, Incompatible
-from dropo.core.services.registry import names
+from dropo.core.services.registry import names, plugin_names
 from dropo.core.services.validation import Array
 from dropo.effects.law import law_of_text
 from dropo.mjmodel.robot_simulator import RobotSimulator
@@ -96,6 +96,28 @@ def instances_for(
             " sensors whose signals were estimated, not measured."
         )
     return found
+
+
+def plugin_effects(simulator: RobotSimulator) -> list[str]:
+    """List the effects of plug-ins that a robot could have and does not have.
+
+    Parameters
+    ----------
+    simulator : RobotSimulator
+        The robot, with the effects that it has.
+
+    Returns
+    -------
+    list of str
+        Their names, sorted.
+    """
+    fixed = [instance for instance, _ in simulator.fixed]
+    own = {instance.effect for instance in (*simulator.effects, *fixed)}
+    return [
+        name
+        for name in plugin_names("effects")
+        if name not in own and instances_of(simulator.effect_context, name)
+    ]
 
 
 def of_an_estimate(problem: Problem, instance: EffectInstance) -> bool:
