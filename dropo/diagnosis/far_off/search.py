@@ -19,7 +19,7 @@ from dropo.diagnosis.far_off.ties import ties_of
 from dropo.diagnosis.search.arithmetic import ArithmeticSettings, alternatives_of
 from dropo.diagnosis.search.bounds import at_bounds, totals_of
 from dropo.diagnosis.search.library import robot_of
-from dropo.diagnosis.search.linearization import Library
+from dropo.diagnosis.search.linearization import DIVERGED, Library
 from dropo.diagnosis.search.selection import STOPPING
 from dropo.mjmodel.robot_simulator import RobotSimulator
 
@@ -510,7 +510,7 @@ class FarOffSearch:
         """Whether errors are beyond what the sensors' noise and the physics step explain."""
         residuals = self._residuals(model, motions)
         count = len(motions.noise)
-        size = outer_spread(residuals.reshape(-1, count))
+        size = np.nan_to_num(outer_spread(residuals.reshape(-1, count)))  # inf where it diverges
         noise = self.settings.misfit * motions.noise
         if np.median(size / np.hypot(noise, size / 2)) > 1:  # whatever the physics step makes
             return True
@@ -542,12 +542,17 @@ class FarOffSearch:
     def _gains(
         self, more: FarOffModel, model: FarOffModel, motions: Motions
     ) -> tuple[Array, float]:
-        """What more numbers gain in each piece of the windows, and the cost without them [nats]."""
+        """What more numbers gain in each piece of the windows, and the cost without them [nats].
+
+        No error counts more than where a simulation has diverged.
+        """
         error = self._error(model, motions)
         before = self._residuals(model, motions)
+        after = self._residuals(more, motions)
         scale = error.scale_of(before)
-        old = error.cost_by_piece(error.whitened(before, scale))
-        new = error.cost_by_piece(error.whitened(self._residuals(more, motions), scale))
+        most = DIVERGED * np.tile(scale, motions.windows.length)
+        old = error.cost_by_piece(error.whitened(np.clip(before, -most, most), scale))
+        new = error.cost_by_piece(error.whitened(np.clip(after, -most, most), scale))
         return (old - new).ravel(), float(old.sum())
 
     def _residuals(self, model: FarOffModel, motions: Motions) -> Array:

@@ -126,7 +126,7 @@ class Library:
         Returns
         -------
         (f, W, n) array
-            0 where a simulation diverges.
+            0 where a simulation diverges, and of a number beyond its bounds.
         """
         space = self.simulator.space
         count = len(free)
@@ -140,7 +140,9 @@ class Library:
         values[count + np.arange(count), free] = lower
         predicted = self.predict(values, windows)
         change = predicted[:count] - predicted[count:]
-        return np.nan_to_num(change / (upper - lower)[:, None, None])
+        between = (upper - lower)[:, None, None]
+        slopes = np.divide(change, between, out=np.zeros_like(change), where=between > 0)
+        return np.asarray(np.nan_to_num(slopes))
 
     def kept_jacobian(self, theta: Array, free: np.ndarray, windows: Windows) -> Array:
         """Differentiate the predictions, unless that was done here just before.

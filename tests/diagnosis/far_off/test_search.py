@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from dropo.core.contracts.estimator import silent
-from dropo.diagnosis.far_off.search import KNOWN, FarOffSearch
+from dropo.diagnosis.far_off.motions import motions_of
+from dropo.diagnosis.far_off.search import KNOWN, FarOffSearch, _Sides
 from dropo.diagnosis.far_off.start import FarOffLimits, start_of
 from dropo.diagnosis.regression.quick import QuickSettings
 from dropo.mjmodel.robot_simulator import RobotSimulator
@@ -21,6 +22,12 @@ TRUTH = 0.01  # [kg m^2] at the elbow
 def searched(model, settings=SETTINGS):
     """What a search finds of a model's numbers."""
     return FarOffSearch(settings, silent).run(model)
+
+
+def search_sides(model):
+    """Its motions: to fit, which are few enough for all fits, and held out."""
+    fitted, held_out = motions_of(model.problem, model.library, model.theta, SETTINGS.motions)
+    return _Sides(fitted, fitted, held_out)
 
 
 @pytest.fixture(scope="module")
@@ -139,6 +146,28 @@ def test_data_held_out_decide_nothing():
         found.append(explained.model.theta)
     np.testing.assert_array_equal(found[0], found[1])
     assert not np.array_equal(found[0], found[2])
+
+
+def test_a_model_that_diverges_is_worse_and_misfits(monkeypatch):
+    """Errors of any size on the way there, and of none behind, are no reason to doubt it."""
+    search = FarOffSearch(SETTINGS, silent)
+    model = torque_arm("joint_armature:elbow")
+    other = model.without(["joint_armature:elbow"])
+    sides = search_sides(model)
+    usual = search._residuals
+
+    def residuals(which, motions):
+        found = usual(model, motions).copy()
+        if which is other:
+            found[:, found.shape[1] // 2 :] = np.nan
+            found[0, found.shape[1] // 2 - 1] = 1e9
+        return found
+
+    monkeypatch.setattr(search, "_residuals", residuals)
+    assert search._is_better(model, other, sides)
+    assert not search._is_better(other, model, sides)
+    monkeypatch.setattr(search, "_residuals", lambda *given: np.full_like(usual(*given), np.nan))
+    assert search._is_misfit(other, sides.fitted)
 
 
 @pytest.mark.parametrize(("gain", "kept"), [(0.5, False), (1.5, True), (3.0, True)])

@@ -8,6 +8,7 @@ from dropo import Diagnose
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.services.registry import find
+from dropo.diagnosis.search.library import instances_for
 from dropo.diagnosis.search.linearization import (
     Library,
     estimate_noise,
@@ -59,6 +60,19 @@ def test_starts_of_a_late_velocity_are_in_doubt():
     )
     assert 0.5 < length < 2
     assert np.median(certain.distances(linearized.residuals)) / linearized.residuals.shape[1] > 100
+
+
+def test_a_number_beyond_its_bounds_has_no_slope():
+    """Neither side of it can be simulated within them: 0, without a warning."""
+    given = problem([], name="position-arm", seed=3000)
+    instances = instances_for(given, ["joint_damping"], np.array([], dtype=np.int64))
+    library = Library(given.simulator.with_effects(instances), instances, len(given.space))
+    train, _ = split(given, 5, 16)
+    theta = np.array(library.simulator.nominal)
+    free = library.indices_of[instances[0].label]
+    assert np.any(library.jacobian(theta, free, train))
+    theta[free] = 2 * library.simulator.space.high[free]
+    assert not np.any(library.jacobian(theta, free, train))
 
 
 def test_doubt_follows_theta():

@@ -247,8 +247,16 @@ def _moved_by_step(
     finer = simulator.with_finer_steps(2)
     half = finer.predict(last.theta[None], some.segments)
     simulator.steps += finer.steps
-    p = len(simulator.signals)
-    spread = spread_of(simulator, some)
-    of_step = ((half[0] - usual[1]).reshape(-1, p) / spread) ** 2
-    of_causes = ((usual[0] - usual[1]).reshape(-1, p) / spread) ** 2
-    return float(np.sqrt(np.nansum(of_step) / np.nansum(of_causes)))
+    return _share_of_step(half[0], usual[0], usual[1], spread_of(simulator, some))
+
+
+def _share_of_step(finer: Array, came: Array, found: Array, spread: Array) -> float:
+    """How far finer steps move predictions (W, L p), as a fraction of what the causes do.
+
+    Where the model that came diverges, causes change more than any step does: that is left out.
+    """
+    of_step = ((finer - found).reshape(-1, len(spread)) / spread) ** 2
+    of_causes = ((came - found).reshape(-1, len(spread)) / spread) ** 2
+    known = np.isfinite(of_step) & np.isfinite(of_causes)
+    change = float(of_causes[known].sum())
+    return float(np.sqrt(of_step[known].sum() / change)) if change else 0.0

@@ -7,7 +7,7 @@ import pytest
 from dropo import Diagnose, Problem
 from dropo.core.contracts.effect import instances_of
 from dropo.core.records.trajectories import Trajectories
-from dropo.diagnosis.findings.premises.numerics import short_delay
+from dropo.diagnosis.findings.premises.numerics import _share_of_step, short_delay
 from dropo.diagnosis.search.arithmetic import ArithmeticAlternatives
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
@@ -117,3 +117,17 @@ def test_short_delays_are_shorter_than_a_physics_step(late, told):
     )
     assert short_delay(delay, np.array([late]), 0.01) == told
     assert short_delay(damping, np.array([late]), 0.01) is None
+
+
+def test_where_the_model_that_came_diverges_steps_change_less_than_causes():
+    """Without a warning; elsewhere the share is that of the rows that are known."""
+    found = np.zeros((2, 6))
+    came = np.full((2, 6), 4.0)
+    finer = np.full((2, 6), 1.0)
+    spread = np.array([1.0, 2.0])
+    assert _share_of_step(finer, came, found, spread) == pytest.approx(0.25)
+    came[0] = np.nan
+    finer[0] = 9.0
+    assert _share_of_step(finer, came, found, spread) == pytest.approx(0.25)
+    came[1] = np.nan
+    assert _share_of_step(finer, came, found, spread) == 0.0
