@@ -19,7 +19,8 @@ from dropo.core.services.blas_threads import one_blas_thread
 from dropo.core.services.errors import BadArgument
 from dropo.core.services.validation import Array, require
 from dropo.diagnosis.findings.premises.chattering import chattering_sentences
-from dropo.diagnosis.findings.premises.still import still_sentences
+from dropo.diagnosis.findings.premises.short import ShortSettings, short_sentences
+from dropo.diagnosis.findings.premises.still import StillSettings, still_sentences
 from dropo.diagnosis.findings.to_type import to_type
 from dropo.diagnosis.parts import Cause, Estimate
 from dropo.diagnosis.regression.alike import most_plausible
@@ -103,6 +104,10 @@ class QuickSettings:
         changes is part of their standard errors.
     contacts : ContactSettings
         How the friction of contacts is found, where the base is free.
+    still : StillSettings
+        When a joint hardly moves, which is said.
+    short : ShortSettings
+        When data are short, which is said.
     """
 
     checked: float = 0.2
@@ -123,6 +128,8 @@ class QuickSettings:
     choice: ChoiceSettings = field(default_factory=ChoiceSettings)
     resimulation: ResimulationSettings = field(default_factory=ResimulationSettings)
     contacts: ContactSettings = field(default_factory=ContactSettings)
+    still: StillSettings = field(default_factory=StillSettings)
+    short: ShortSettings = field(default_factory=ShortSettings)
 
 
 @dataclass(frozen=True)
@@ -179,8 +186,9 @@ class QuickDiagnose:
         unknown = [number.label for number in numbers if number.unknown]
         chattering = chattering_sentences(problem)
         causes = [] if chattering else self._causes(numbers, estimate)
-        still = still_sentences(problem)
-        warnings = [*problem.warnings, *still, *chattering]
+        still = still_sentences(problem, self.settings.still)
+        short = short_sentences(problem, self.settings.short)
+        warnings = [*problem.warnings, *short, *still, *chattering]
         warnings += _warnings(simulator, estimate, bool(causes))
         warnings += _not_looked_for(simulator)
         if unscaled:

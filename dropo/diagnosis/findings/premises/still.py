@@ -1,4 +1,7 @@
-"""Joints that never move in the data: they are held, and effects at them are listed as unknown."""
+"""Joints that never move in the data: they are held, and effects at them are listed as unknown.
+
+Those that hardly move are named.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -16,6 +19,30 @@ from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 MOVES = 1e-12
 """A column that changes by less never moves [rad, m and their derivatives]."""
+ROUNDING = 1e-9
+"""Readings that differ by less are the same [rad, m]."""
+
+
+@dataclass(frozen=True)
+class StillSettings:
+    """When a joint hardly moves.
+
+    Attributes
+    ----------
+    flicker : int
+        One that moves over so many ticks of its encoder, or fewer, does not move beyond these.
+    ticks : int
+        Nor does one that moves over so many, ...
+    share : float
+        ... if that is less than this fraction of the largest motion of a joint of its kind.
+    """
+
+    flicker: int = 4
+    ticks: int = 100
+    share: float = 0.01
+
+
+STILL = StillSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,13 +159,15 @@ def still_joints(simulator: RobotSimulator, data: Trajectories) -> list[tuple[Jo
     return found
 
 
-def still_sentences(problem: Problem) -> tuple[str, ...]:
-    """Name the joints that never move in a problem's data, a sentence each.
+def still_sentences(problem: Problem, settings: StillSettings = STILL) -> tuple[str, ...]:
+    """Name the joints that never move in a problem's data, or hardly, a sentence each.
 
     Parameters
     ----------
     problem : Problem
         A robot and its data.
+    settings : StillSettings, optional
+        What is hardly.
 
     Returns
     -------
@@ -147,7 +176,41 @@ def still_sentences(problem: Problem) -> tuple[str, ...]:
     simulator = problem.simulator
     if not isinstance(simulator, RobotSimulator):
         return ()
-    return tuple(_sentence(*one) for one in still_joints(simulator, problem.trajectories))
+    never = [_sentence(*one) for one in still_joints(simulator, problem.trajectories)]
+    return (*never, *_flickering(simulator, problem.trajectories, settings))
+
+
+def _flickering(
+    simulator: RobotSimulator, data: Trajectories, settings: StillSettings
+) -> list[str]:
+    """A sentence on each joint that moves, but hardly beyond its encoder's ticks."""
+    columns = simulator.layout.column_places
+    rows = np.concatenate([data.observations, data.next_observations])
+    positions = {
+        joint: rows[:, columns["qpos", joint.qpos]]
+        for joint in joints(simulator.model)
+        if ("qpos", joint.qpos) in columns
+    }
+    largest: dict[str, float] = {}
+    for joint, values in positions.items():
+        largest[joint.kind] = max(largest.get(joint.kind, 0.0), float(np.ptp(values)))
+    found = []
+    for joint, values in positions.items():
+        span = float(np.ptp(values))
+        steps = np.diff(np.unique(values))
+        steps = steps[steps > ROUNDING]
+        if not len(steps):
+            continue
+        ticks = round(span / float(steps.min()))
+        is_little = ticks <= settings.ticks and span <= settings.share * largest[joint.kind]
+        if ticks <= settings.flicker or is_little:
+            found.append(
+                f"The joint {joint.name!r} hardly moves in these data: over {ticks} "
+                f"tick{'s' if ticks > 1 else ''} of its encoder ({number(span, 3)} {joint.length}) "
+                "in all. What is told of its friction, damping, rotor and drive is worth little: "
+                "record it moving."
+            )
+    return found
 
 
 def hold_still(problem: Problem) -> Held | None:

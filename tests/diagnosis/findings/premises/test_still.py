@@ -9,7 +9,9 @@ import pytest
 from dropo.core.contracts.problem import Problem
 from dropo.core.services.errors import BadArgument
 from dropo.diagnosis.diagnose import Diagnose
-from dropo.diagnosis.regression.quick import QuickDiagnose
+from dropo.diagnosis.findings.premises.short import ShortSettings, short_sentences
+from dropo.diagnosis.findings.premises.still import still_sentences
+from dropo.diagnosis.regression.quick import QuickDiagnose, QuickSettings
 from dropo.problems.simulated.recording import record
 from dropo.problems.simulated.robots import simulated_robot
 from tests.models.hidden_in_arm import instance
@@ -89,6 +91,53 @@ def test_regression_leaves_it_out(stuck):
     assert any("'bend' never moves" in text for text in quick.warnings)
     assert quick.verdict == "explained"
     assert not [cause for cause in quick.causes if cause.target in ("bend", "bend_servo")]
+
+
+TICK = 2 * np.pi / 65536
+
+
+def by_encoders(stuck, flickers, tick=TICK):
+    """What encoders read, the last joint's going to and fro by so many ticks."""
+    data = stuck.trajectories
+    rows, after = data.observations.copy(), data.next_observations.copy()
+    around = np.arange(len(rows)) % (flickers + 1)
+    for table in (rows, after):
+        table[:, 2] = STAYS + around * tick
+        table[:, :3] = np.round(table[:, :3] / tick) * tick
+    return replace(stuck, trajectories=replace(data, observations=rows, next_observations=after))
+
+
+@pytest.mark.parametrize("ticks", [1, 60])
+def test_a_joint_that_only_flickers_is_named(stuck, ticks):
+    """By a tick, or by many that are little beside the other joints' motion."""
+    (said,) = still_sentences(by_encoders(stuck, ticks))
+    assert said.startswith("The joint 'bend' hardly moves in these data:")
+    count = "1 tick" if ticks == 1 else f"{ticks} ticks"
+    assert f"over {count} of its encoder ({ticks * TICK:.3g} rad)" in said
+
+
+def test_a_joint_that_moves_is_not_named(stuck):
+    """Over thousands of ticks; over as few as a coarse encoder has, as all joints do; and little,
+    without an encoder's ticks.
+    """
+    assert still_sentences(by_encoders(stuck, 3000)) == ()
+    assert still_sentences(by_encoders(stuck, 20, tick=0.02)) == ()
+    data = by_encoders(stuck, 1).trajectories
+    rows, after = data.observations.copy(), data.next_observations.copy()
+    rows[:, 2] += 1e-3 * np.random.default_rng(0).normal(size=len(rows))
+    smooth = replace(data, observations=rows, next_observations=after)
+    assert still_sentences(replace(stuck, trajectories=smooth)) == ()
+
+
+def test_a_short_log_is_named(stuck):
+    """With its length, and what is enough; not one that is as long as that."""
+    long = len(stuck.trajectories) * stuck.simulator.control_step
+    assert short_sentences(stuck, ShortSettings(short=0.9 * long)) == ()
+    short = ShortSettings(short=1.1 * long, enough=60.0)
+    (said,) = short_sentences(stuck, short)
+    assert said.startswith(f"The data are {long:.3g} s long")
+    assert "60 s" in said
+    assert said in QuickDiagnose(settings=QuickSettings(short=short)).run(stuck).warnings
 
 
 def test_a_joint_is_held_where_it_stays():
