@@ -323,8 +323,8 @@ class Cause:
             "p_value": self.p_value,
             "held_out_gain": self.held_out_gain,
             "held_out_gain_se": self.held_out_gain_se,
-            "rmse_before": self.rmse_before,
-            "rmse_after": self.rmse_after,
+            "rmse_before": number_or_null(self.rmse_before),
+            "rmse_after": number_or_null(self.rmse_after),
             "confused_with": [other.to_json() for other in self.confused_with],
             "acts_like": self.acts_like,
             "stability": None if self.stability is None else self.stability.to_json(),
@@ -353,8 +353,8 @@ class Cause:
             p_value=saved["p_value"],
             held_out_gain=saved["held_out_gain"],
             held_out_gain_se=saved["held_out_gain_se"],
-            rmse_before=saved["rmse_before"],
-            rmse_after=saved["rmse_after"],
+            rmse_before=number_or_nan(saved["rmse_before"]),
+            rmse_after=number_or_nan(saved["rmse_after"]),
             confused_with=tuple(map(Alternative.from_json, saved["confused_with"])),
             acts_like=saved.get("acts_like"),
             stability=None if stability is None else Stability.from_json(stability),
@@ -453,7 +453,8 @@ class Leader:
         gain = f"{number(self.gain, 3)} +- {number(self.gain_se, 2)} nats on data held out"
         if self.why:
             return (
-                f"not accepted: {place}, {gain}, but {self.why}; diagnose with --steps {self.steps}"
+                f"not accepted: {place}, {gain}, but {self.why}; do not type it in, something else "
+                "may act like it"
             )
         record = "record other motion"
         if np.isfinite(self.times):

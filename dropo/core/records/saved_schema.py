@@ -263,8 +263,8 @@ class SavedCause(Saved):
     p_value: float
     held_out_gain: float
     held_out_gain_se: float
-    rmse_before: float
-    rmse_after: float
+    rmse_before: float | None
+    rmse_after: float | None
     confused_with: list[SavedAlternative]
     acts_like: str | None = None
     stated: bool | None = None
