@@ -453,8 +453,8 @@ class Leader:
         gain = f"{number(self.gain, 3)} +- {number(self.gain_se, 2)} nats on data held out"
         if self.why:
             return (
-                f"not accepted: {place}, {gain}, but {self.why}; do not type it in, something else "
-                "may act like it"
+                f"not accepted: {place}, {gain}, but {self.why}; something else that the model "
+                "lacks may act like it"
             )
         record = "record other motion"
         if np.isfinite(self.times):
