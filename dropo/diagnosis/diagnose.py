@@ -37,7 +37,11 @@ from dropo.diagnosis.findings.limits.detectable import Detectable, detectable
 from dropo.diagnosis.findings.limits.not_identifiable import undetermined
 from dropo.diagnosis.findings.premises.chattering import chattering_sentences
 from dropo.diagnosis.findings.premises.miswired import miswired
-from dropo.diagnosis.findings.premises.still import Held, hold_still
+from dropo.diagnosis.findings.premises.still import (
+    Held,
+    hardly_moving_sentences,
+    hold_still,
+)
 from dropo.diagnosis.findings.remains.disturbances import left_out, outlier_runs
 from dropo.diagnosis.findings.remains.remaining import are_measured, remaining
 from dropo.diagnosis.findings.remains.unexplained_forces import impulses
@@ -491,6 +495,7 @@ class Diagnose:
             warnings=(
                 *data.warnings,
                 *chattering_sentences(data),
+                *hardly_moving_sentences(data),
                 *setup.warnings_of(last),
                 *not_white(library, last, data.estimated),
                 *beyond,

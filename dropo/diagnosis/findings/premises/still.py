@@ -177,13 +177,25 @@ def still_sentences(problem: Problem, settings: StillSettings = STILL) -> tuple[
     if not isinstance(simulator, RobotSimulator):
         return ()
     never = [_sentence(*one) for one in still_joints(simulator, problem.trajectories)]
-    return (*never, *_flickering(simulator, problem.trajectories, settings))
+    return (*never, *hardly_moving_sentences(problem, settings))
 
 
-def _flickering(
-    simulator: RobotSimulator, data: Trajectories, settings: StillSettings
-) -> list[str]:
-    """A sentence on each joint that moves, but hardly beyond its encoder's ticks."""
+def hardly_moving_sentences(problem: Problem, settings: StillSettings = STILL) -> tuple[str, ...]:
+    """Name the joints that move, but hardly beyond their encoders' ticks, a sentence each.
+
+    Parameters
+    ----------
+    problem, settings
+        As of `still_sentences`.
+
+    Returns
+    -------
+    tuple of str
+    """
+    simulator = problem.simulator
+    if not isinstance(simulator, RobotSimulator):
+        return ()
+    data = problem.trajectories
     columns = simulator.layout.column_places
     rows = np.concatenate([data.observations, data.next_observations])
     positions = {
@@ -210,7 +222,7 @@ def _flickering(
                 "in all. What is told of its friction, damping, rotor and drive is worth little: "
                 "record it moving."
             )
-    return found
+    return tuple(found)
 
 
 def hold_still(problem: Problem) -> Held | None:

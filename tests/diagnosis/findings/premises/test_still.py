@@ -116,6 +116,13 @@ def test_a_joint_that_only_flickers_is_named(stuck, ticks):
     assert f"over {count} of its encoder ({ticks * TICK:.3g} rad)" in said
 
 
+def test_the_search_by_simulation_says_so_too(stuck):
+    """Of a joint that flickers, in the same sentence."""
+    flickering = by_encoders(stuck, 60)
+    found = Diagnose(("joint_damping",), windows=16, disturbances=False).run(flickering)
+    assert set(still_sentences(flickering)) <= set(found.warnings)
+
+
 def test_a_joint_that_moves_is_not_named(stuck):
     """Over thousands of ticks; over as few as a coarse encoder has, as all joints do; and little,
     without an encoder's ticks.
