@@ -119,6 +119,12 @@ def test_a_joint_that_only_flickers_is_named(stuck, ticks):
 def test_the_search_by_simulation_says_so_too(stuck):
     """Of a joint that flickers, in the same sentence."""
     flickering = by_encoders(stuck, 60)
+    data = flickering.trajectories
+    rows, after = data.observations.copy(), data.next_observations.copy()
+    for table in (rows, after):
+        table[:, 5] = 1e-3 * np.sin(np.arange(len(table)))
+    moving = replace(data, observations=rows, next_observations=after)
+    flickering = replace(flickering, trajectories=moving)
     found = Diagnose(("joint_damping",), windows=16, disturbances=False).run(flickering)
     assert set(still_sentences(flickering)) <= set(found.warnings)
 
