@@ -16,7 +16,7 @@ from dropo.diagnosis.far_off.model import GAIN, FarOffModel
 from dropo.diagnosis.far_off.motions import LongWindowSettings, Motions, motions_of, outer_spread
 from dropo.diagnosis.far_off.output_error import Fitted, Known, OutputError, OutputErrorSettings
 from dropo.diagnosis.far_off.ties import ties_of
-from dropo.diagnosis.search.arithmetic import ArithmeticSettings, alternatives_of
+from dropo.diagnosis.search.arithmetic import Arithmetic, ArithmeticSettings, alternatives_of
 from dropo.diagnosis.search.bounds import at_bounds, totals_of
 from dropo.diagnosis.search.library import robot_of
 from dropo.diagnosis.search.linearization import DIVERGED, Library
@@ -62,6 +62,10 @@ class FarOffSettings:
         long motions may end where only the slow ones are followed.
     rough : int
         The first fits take one window of this many.
+    looked_at : int
+        So many windows are simulated to see whether the model diverges in its own steps ...
+    finite : float
+        ... which it does where no more than this fraction of them ends.
     simulated : int
         About how many physics steps in all windows, times numbers, the last fit takes.
     certain : float
@@ -100,6 +104,8 @@ class FarOffSettings:
     needless: float = 1.0
     first: float = 5.0
     rough: int = 2
+    looked_at: int = 4
+    finite: float = 0.5
     simulated: int = 5_000_000
     certain: float = 3.0
     scale: float = 0.2
@@ -274,8 +280,7 @@ class FarOffSearch:
             if not seconds:
                 continue
             chosen = replace(settings.motions, seconds=seconds)
-            library = self._library(model)
-            fitted, held_out = motions_of(model.problem, library, model.theta, chosen)
+            model, fitted, held_out = self._cut(model, chosen)
             few = -(-len(fitted.windows) // settings.rough)
             sides = _Sides(fitted, _first(fitted, few), held_out)
             length = fitted.windows.length
@@ -298,6 +303,29 @@ class FarOffSearch:
         windows = len(fitted.windows)
         self.progress(0.7, f"fitting {len(model.fitted)} numbers to {windows} windows")
         self._latest = self._fit(model, fitted, settings.fit), fitted
+
+    def _cut(
+        self, model: FarOffModel, chosen: LongWindowSettings
+    ) -> tuple[FarOffModel, Motions, Motions]:
+        """A model with its motions, to fit and held out.
+
+        One that diverges in its own steps is the same in the cheapest more exact ones in which it
+        does not.
+        """
+        others: Sequence[Arithmetic] = ()
+        simulator = model.library.simulator
+        if model.arithmetic is None and isinstance(simulator, RobotSimulator):
+            others = alternatives_of(simulator, self.settings.steps)
+        exact = [replace(model, arithmetic=one).in_exact_steps() for one in others]
+        tried = []
+        for other in (model, *exact):
+            motions = motions_of(other.problem, self._library(other), other.theta, chosen)
+            tried.append((other, *motions))
+            few = _first(motions[0], self.settings.looked_at)
+            residuals = self._error(other, few).residuals(other.theta[None])[0]
+            if np.isfinite(residuals).all(axis=1).mean() > self.settings.finite:
+                return tried[-1]
+        return tried[0]
 
     def _with_exact_steps(self, model: FarOffModel, sides: _Sides) -> FarOffModel:
         """More exact physics steps, where motions are clearly better predicted by them."""

@@ -11,6 +11,7 @@ from dropo.diagnosis.far_off.motions import motions_of
 from dropo.diagnosis.far_off.search import KNOWN, FarOffSearch, _Sides
 from dropo.diagnosis.far_off.start import FarOffLimits, start_of
 from dropo.diagnosis.regression.quick import QuickSettings
+from dropo.mjmodel.options import integrator
 from dropo.mjmodel.robot_simulator import RobotSimulator
 from dropo.problems.simulated.hidden import hide
 from tests.models.far_off import SETTINGS, torque_arm
@@ -168,6 +169,27 @@ def test_a_model_that_diverges_is_worse_and_misfits(monkeypatch):
     assert not search._is_better(other, model, sides)
     monkeypatch.setattr(search, "_residuals", lambda *given: np.full_like(usual(*given), np.nan))
     assert search._is_misfit(other, sides.fitted)
+
+
+def test_a_model_that_diverges_is_taken_in_steps_in_which_it_does_not(monkeypatch):
+    """The cheapest; the control: one that does not is left as it is."""
+    search = FarOffSearch(SETTINGS, silent)
+    model = torque_arm("joint_armature:elbow")
+    assert search._cut(model, SETTINGS.motions)[0] is model
+    usual = search._error
+
+    def error(which, motions):
+        if which is model:
+            return SimpleNamespace(residuals=lambda theta: np.full((1, 2, 3), np.nan))
+        return usual(which, motions)
+
+    monkeypatch.setattr(search, "_error", error)
+    other, fitted, _ = search._cut(model, SETTINGS.motions)
+    assert other.arithmetic is None
+    cheapest = SETTINGS.steps.alternatives[0]
+    assert integrator(other.library.simulator.model) == cheapest.integrator
+    assert other.problem.simulator.steps_per_action == model.problem.simulator.steps_per_action
+    assert len(fitted.windows)
 
 
 @pytest.mark.parametrize(("gain", "kept"), [(0.5, False), (1.5, True), (3.0, True)])
