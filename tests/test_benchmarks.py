@@ -38,6 +38,7 @@ from benchmarks.objective import (
     report,
 )
 from benchmarks.robots import problem_of as problem_with
+from dropo.diagnosis.regression.result import WiringFault
 from dropo.likelihoods.monte_carlo import MonteCarlo
 from dropo.problems.hopper.model import BODIES, FRAME_SKIP
 from tests.reference.published_loop import log_likelihood
@@ -332,6 +333,27 @@ def test_a_machine_of_random_shape_is_diagnosed():
     assert found["hidden"] == [["joint_damping", "joint0"]]
     assert found["right"]
     assert re.search(r"^all +1 +1 ", printed, flags=re.MULTILINE)
+
+
+def test_spoiled_logs_are_told(monkeypatch):
+    """A sign of one column: right if it is named with its joint and column, or with either of two
+    that explain the same; the controls: silence, another joint, another column.
+    """
+    monkeypatch.syspath_prepend(readme.README.parent / "random_machines")
+    wiring = import_module("wiring")
+    case = wiring.Spoiled(None, "sign", frozenset({"joint1"}), ("angle",))
+    fault = WiringFault("sign", "joint1", "", of="angle")
+    assert case.is_right([fault])
+    assert case.is_right([replace(fault, of="")])
+    assert not case.is_right([])
+    assert not case.is_right([replace(fault, target="joint0")])
+    assert not case.is_right([replace(fault, of="command")])
+    unit = wiring.Spoiled(None, "unit_factor", frozenset({"joint1"}), ("angle",))
+    degrees = WiringFault("unit_factor", "joint1", "", of="angle", factor=np.pi / 180)
+    assert unit.is_right([degrees])
+    assert unit.is_right([replace(degrees, of="", factor=180 / np.pi)])
+    assert not unit.is_right([replace(degrees, factor=1e-3)])
+    assert wiring.Spoiled(None, "", frozenset(), ()).is_right([])
 
 
 def test_what_a_log_says_grows_with_what_is_missing(monkeypatch):
