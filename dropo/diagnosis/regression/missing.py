@@ -192,7 +192,7 @@ class Missing:
         error = float(self.errors[0]) / self.solution.beta**2
         return abs(self.solution.gain) > certain * error
 
-    @property
+    @cached_property
     def may_have_any_gain(self) -> bool:
         """Whether no motion tells the scale of all forces, of which a payload's is a part."""
         solution = self.solution

@@ -459,8 +459,7 @@ class Readings:
         log = self.parts[0][0]
         (i, *_) = self.actuators_at[dof]
         command = np.concatenate(log.logged)[:, reading.commands[i]] * reading.command_scales[i]
-        angle = np.concatenate(log.positions)[:, reading.angles[dof]] * reading.angle_scales[dof]
-        return float(command.std() / max(angle.std(), 1e-300))
+        return float(command.std() / max(self._angle(reading, dof).std(), 1e-300))
 
     def extent(self, reading: Reading, dof: int) -> float:
         """Return how far a joint moves in all.
@@ -477,9 +476,12 @@ class Readings:
         float
             From one end to the other [rad, m].
         """
-        log = self.parts[0][0]
-        angle = np.concatenate(log.positions)[:, reading.angles[dof]]
-        return float(np.ptp(angle)) * abs(reading.angle_scales[dof])
+        return float(np.ptp(self._angle(reading, dof)))
+
+    def _angle(self, reading: Reading, dof: int) -> Array:
+        """(T,) the positions of a joint in all rows of the log."""
+        logged = np.concatenate(self.parts[0][0].positions)
+        return np.asarray(logged[:, reading.angles[dof]] * reading.angle_scales[dof])
 
     def _fit(self, reading: Reading, dof: int) -> JointFit:
         """The fit of one joint at the delay that explains most."""

@@ -70,6 +70,20 @@ class TrackingSettings:
     lag: float = 0.3
     lags: int = 16
 
+    def is_unit(self, factor: float) -> bool:
+        """Tell whether a factor is that of another unit.
+
+        Parameters
+        ----------
+        factor : float
+            Above 0, or of the wrong sign.
+
+        Returns
+        -------
+        bool
+        """
+        return not 1 / self.factor < factor < self.factor
+
 
 @dataclass(frozen=True)
 class Misread:
@@ -120,40 +134,36 @@ class Tracking:
         found = set()
         for j in np.flatnonzero(self.moves).tolist():
             own = self.correlation[j, j]
-            if own > self.settings.closely and not self._is_unit(self.slopes[j]):
+            if own > self.settings.closely and not self.settings.is_unit(self.slopes[j]):
                 found.add(self.joints[j].qvel)
         return frozenset(found)
 
     @property
     def misread_closely(self) -> list[Misread]:
         """What is certain, as a joint follows some command closely; of units the known ones."""
-        exchanged = self._exchanged(self.settings.closely)
-        found = [Misread("exchange", (self.joints[i], self.joints[j])) for i, j in exchanged]
-        mixed = {i for pair in exchanged for i in pair}
-        for j in np.flatnonzero(self.moves).tolist():
-            own = self.correlation[j, j]
-            if j in mixed or abs(own) < self.settings.closely:
-                continue
-            slope = float(self.slopes[j])
-            if own < 0:
-                found.append(Misread("sign", (self.joints[j],)))
-            elif self._is_unit(slope) and self._is_known(slope, self.joints[j].kind):
-                found.append(Misread("unit_factor", (self.joints[j],), slope))
-        return found
+        return [
+            one
+            for one in self._misread(self.settings.closely)
+            if one.kind != "unit_factor" or self._is_known(one.slope, one.joints[0].kind)
+        ]
 
     @property
     def misread(self) -> list[Misread]:
         """What is likely, where nothing but this tells."""
-        exchanged = self._exchanged(self.settings.follows)
+        return self._misread(self.settings.follows)
+
+    def _misread(self, least: float) -> list[Misread]:
+        """What is wrong with joints that follow some command by a correlation of so much."""
+        exchanged = self._exchanged(least)
         found = [Misread("exchange", (self.joints[i], self.joints[j])) for i, j in exchanged]
         mixed = {i for pair in exchanged for i in pair}
         for j in np.flatnonzero(self.moves).tolist():
-            if j in mixed or abs(self.correlation[j, j]) < self.settings.follows:
+            if j in mixed or abs(self.correlation[j, j]) < least:
                 continue
             slope = float(self.slopes[j])
             if slope < 0:
                 found.append(Misread("sign", (self.joints[j],)))
-            elif self._is_unit(slope):
+            elif self.settings.is_unit(slope):
                 found.append(Misread("unit_factor", (self.joints[j],), slope))
         return found
 
@@ -169,10 +179,6 @@ class Tracking:
             if other > j and back == j and alone:
                 found.append((j, other))
         return found
-
-    def _is_unit(self, factor: float) -> bool:
-        """Whether a factor is that of another unit."""
-        return not 1 / self.settings.factor < factor < self.settings.factor
 
     def _is_known(self, factor: float, kind: str) -> bool:
         """Whether a factor is close to that of a unit of that kind of joint, or one over it."""

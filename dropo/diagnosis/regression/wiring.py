@@ -2,8 +2,8 @@
 
 Where the forces of a log can be computed, readings of its columns are compared by what the drives
 leave unexplained: `readings`. A reading is a fault only if it explains most of what a model with
-free gains, rotors, friction and weights leaves, on data held out. Elsewhere the commands of servos
-are held against their joints.
+free gains, rotors, friction and weights leaves, on data held out. What joints of servos follow,
+their own commands or others' (`tracking`), comes first; without forces it is all there is.
 """
 
 from collections.abc import Iterator, Sequence
@@ -399,7 +399,7 @@ class _WiringSearch:
         for dof in bad:
             yield Change("sign", "command", (dof,))
             factor = self.readings.command_factor(reading, dof)
-            if factor is None or not self._is_unit(factor):
+            if factor is None or not self.settings.is_unit(factor):
                 continue
             torque = Change("torque_command", "command", (dof,))
             if not np.isfinite(factor):
@@ -473,13 +473,9 @@ class _WiringSearch:
             factors = UNITS.get(kinds[dof], {})
             if self.readings.is_servo(dof):
                 factor = self.readings.follows(reading, dof)
-                factors = {self._known(factor, dof): ""} if self._is_unit(factor) else {}
+                factors = {self._known(factor, dof): ""} if self.settings.is_unit(factor) else {}
             for factor in factors:
                 yield Change("unit_factor", "angle", (dof,), factor)
-
-    def _is_unit(self, factor: float) -> bool:
-        """Whether a factor is that of another unit."""
-        return not 1 / self.settings.factor < factor < self.settings.factor
 
     def _kind(self, dof: int) -> str:
         """Of the joint of a degree of freedom: "hinge" or "slide"."""
