@@ -33,6 +33,8 @@ class GaussNewtonSettings:
         Jacobian does not describe the objective near by.
     fractions : tuple of float
         Fractions of a step that are tried where the whole of it brings too little.
+    multiples : tuple of float
+        Multiples of a slow step that are tried beyond it where it brings what it promises.
     prior_width : float
         Standard deviation of the prior that holds each step back, as a fraction of the box.
     """
@@ -42,6 +44,7 @@ class GaussNewtonSettings:
     sufficient_gain: float = 0.2
     slow_gain: float = 0.5
     fractions: tuple[float, ...] = (0.5, 0.25, 0.1, 0.02)
+    multiples: tuple[float, ...] = (1.0, 3.0, 7.0, 15.0)
     prior_width: float = 0.1
 
 
@@ -113,7 +116,8 @@ def maximize(
 
     The Jacobian is found anew where a step gains too little, or where there is none yet; and by
     narrow differences where that does not help, or where step after step promises the same:
-    predictions then bend within the usual width of differences.
+    predictions then bend within the usual width of differences. Where step after step gains what it
+    promises, they are too short, and longer ones are tried first.
 
     Parameters
     ----------
@@ -149,6 +153,11 @@ def maximize(
         if fresh and not sufficient:
             fractions = np.array(settings.fractions)
             state, more = problem.try_steps(state, fractions[:, None] * step)
+            gain += more
+        if slow and sufficient:
+            multiples = np.array(settings.multiples)
+            state, more = problem.try_steps(state, multiples[:, None] * step)
+            slow = more < gain
             gain += more
         small = gain < settings.tolerance
         if small and (sufficient or close or promised < settings.tolerance):

@@ -210,3 +210,21 @@ def test_differences_come_closer_where_steps_gain_nothing():
     found, _ = maximize(problem, 1.5, GaussNewtonSettings(iterations=20, tolerance=1e-8))
     assert [close for _, close in problem.jacobians][:2] == [False, True]
     assert found == pytest.approx(2.0, abs=1e-3)
+
+
+def test_steps_that_are_too_short_are_lengthened():
+    """Usual differences four times too steep, as where contacts come and go, and narrow ones that
+    are rough: step after step gains a part, and longer ones reach 2 in five; without them it ends
+    far from it.
+    """
+
+    class Rough(Bent):
+        def differentiate(self, x, close):
+            right = super().differentiate(x, close)
+            return np.array([[1e6]]) if close else 4 * right
+
+    settings = GaussNewtonSettings(tolerance=1e-8)
+    found, _ = maximize(Rough(), 3.0, settings)
+    assert found == pytest.approx(2.0, abs=0.03)
+    stuck, _ = maximize(Rough(), 3.0, replace(settings, multiples=(1e-9,)))
+    assert stuck > 2.1
