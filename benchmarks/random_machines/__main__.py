@@ -13,17 +13,14 @@ than 100 nats, by simulations with and without it. Rules and thresholds are chos
 
 import sys
 import time
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from design import DRIVES, STEP, random_design
-from hidden import NUMBERS, random_machine
-from logs import Lost, random_log
-from worth import worth
+from design import DRIVES
+from drawing import Numbers, Told, drawn
+from hidden import NUMBERS
 
-from dropo.core.contracts.problem import Problem
 from dropo.core.services.tables import Table
 from dropo.diagnosis.diagnose import Diagnose
 from dropo.diagnosis.parts import Cause
@@ -31,12 +28,6 @@ from dropo.diagnosis.regression.quick import QuickDiagnose
 from dropo.diagnosis.regression.result import QuickDiagnosis
 from dropo.diagnosis.result import Diagnosis
 from dropo.problems.file.estimated_velocities import with_velocities
-from dropo.simulators.mujoco.simulator import MujocoSimulator
-
-Place = tuple[str, str | None]
-Numbers = dict[Place, float]
-Told = Callable[[Sequence[Place]], Numbers]
-"""What a log says of each of some things that are missing [nats]."""
 
 WITHIN = 3.0
 """Standard errors within which a number is right."""
@@ -137,40 +128,6 @@ def diagnosed(seed: int, whole: bool) -> dict[str, Any]:
         "verdict": found.verdict,
         "seconds": seconds,
     }
-
-
-def drawn(seed: int) -> tuple[Problem, str, Numbers, Told]:
-    """Draw machines until one can be moved.
-
-    Parameters
-    ----------
-    seed : int
-        Decides everything.
-
-    Returns
-    -------
-    problem : Problem
-        Positions alone.
-    drives : str
-        Their kind.
-    truth : dict
-        By effect and place the size of what is missing.
-    told : function
-        What the log says of what is asked for [nats].
-    """
-    rng = np.random.default_rng(seed)
-    while True:
-        design = random_design(rng)
-        machine = random_machine(design, rng)
-        try:
-            log = random_log(design, machine, rng)
-        except Lost:
-            continue
-        simulator = MujocoSimulator(
-            design.spec, [], observation=["qpos"], frame_skip=round(log.control / STEP), threads=1
-        )
-        problem = Problem(f"machine-{seed}", simulator, log.trajectories)
-        return problem, design.drives, machine.truth, partial(worth, design, machine, log)
 
 
 def compare(causes: Sequence[Cause], truth: Numbers, told: Told) -> dict[str, Any]:

@@ -7,14 +7,14 @@ its factor (or either of two columns that explain the same), and nothing else is
 is named. Rules and thresholds are chosen on seeds below 1000.
 """
 
-import importlib.util
 import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
+from design import DRIVES
+from drawing import drawn
 
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Trajectories
@@ -140,17 +140,10 @@ def spoiled(problem: Problem, way: str, rng: np.random.Generator) -> Spoiled | N
 
 def main(count: int, first: int) -> None:
     """Spoil the logs of machines, and print a line each and a table."""
-    # The benchmark's other command is a module without a name that could be imported.
-    path = Path(__file__).with_name("__main__.py")
-    spec = importlib.util.spec_from_file_location("random_machines", path)
-    assert spec is not None
-    assert spec.loader is not None
-    machines = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(machines)
     answers: dict[str, list[tuple[str, bool, bool]]] = {way: [] for way in SPOILED}
     seconds = []
     for seed in range(first, first + count):
-        problem, drives, _, _ = machines.drawn(seed)
+        problem, drives, _, _ = drawn(seed)
         for number, way in enumerate(SPOILED):
             own = spoiled(problem, way, np.random.default_rng([seed, number]))
             if own is None:
@@ -165,7 +158,7 @@ def main(count: int, first: int) -> None:
     rows = []
     for way, own in answers.items():
         cells = [way]
-        for kind in machines.DRIVES:
+        for kind in DRIVES:
             of_kind = [one for one in own if one[0] == kind]
             right = sum(one[1] for one in of_kind)
             cells.append(f"{right} of {len(of_kind)}")
@@ -173,7 +166,7 @@ def main(count: int, first: int) -> None:
         wrong = sum(not (one[1] or one[2]) for one in own)
         rows.append((*cells, str(silent), str(wrong)))
     title = f"{count} machines, seeds from {first} on, {np.median(seconds):.1f} s each"
-    header = ("spoiled", *(f"{kind}: right" for kind in machines.DRIVES), "silent", "wrong")
+    header = ("spoiled", *(f"{kind}: right" for kind in DRIVES), "silent", "wrong")
     print(Table(title, header, tuple(rows)))
 
 
