@@ -17,7 +17,7 @@ from dropo.core.services.files.evaluation_log import EvaluationLog
 from dropo.core.services.validation import require
 from dropo.data.outliers.without_disturbances import WithoutDisturbances, without_disturbances
 from dropo.diagnosis.far_off.search import Explained, FarOffSearch
-from dropo.diagnosis.far_off.start import FarOffStart, start_of
+from dropo.diagnosis.far_off.start import FarOffStart, RegressionStart, start_of
 from dropo.diagnosis.findings.accuracy.every_horizon import (
     beyond_noise,
     in_words,
@@ -239,8 +239,8 @@ class Diagnose:
         stated: Any = problem.settings.get("windows", self.settings.windows)
         return int(stated)
 
-    def _start(self, task: DiagnosisTask, progress: Progress) -> FarOffStart | None:
-        """What a model may lack that is far off, where effects need not be named."""
+    def _start(self, task: DiagnosisTask, progress: Progress) -> RegressionStart | None:
+        """What regression says that a model lacks, where effects need not be named."""
         settings = self.settings
         if self.effects is not None or settings.far_off is None or task.wiring:
             return None
@@ -312,12 +312,26 @@ class Diagnose:
         estimated = problem.estimated if explained is None else ()
         with_steps = with_cost(progress, library.simulator)
         selection = self._selection(library, train, estimated, with_steps, log)
-        count = len(instances)
-        return SearchSetup(problem, explained, library, selection, train, test, free, count, wiring)
+        return SearchSetup(
+            problem,
+            explained,
+            library,
+            selection,
+            train,
+            test,
+            free,
+            len(instances),
+            wiring,
+            known=task.known,
+        )
 
     def _run(self, task: DiagnosisTask, progress: Progress) -> Diagnosis:
         """The diagnosis of a problem, or of what is left of it without disturbances."""
-        start = self._start(task, progress)
+        regression = self._start(task, progress)
+        if regression is None:
+            return self._by_search(task, None, progress)
+        task = replace(task, known=regression.certain)
+        start = regression.far_off
         if start is None:
             return self._by_search(task, None, progress)
         if start.sure:

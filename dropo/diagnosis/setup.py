@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from dropo.core.contracts.effect import EffectInstance
+from dropo.core.contracts.effect import ActiveEffects, EffectInstance
 from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import BadArgument
@@ -146,6 +146,8 @@ class DiagnosisTask:
         The model by which they were found.
     spent : int
         Simulator steps so far.
+    known : sequence of (EffectInstance, (q,) array)
+        What regression is certain of.
     """
 
     came: Problem
@@ -157,6 +159,7 @@ class DiagnosisTask:
     undisturbed: WithoutDisturbances | None = None
     before: State | None = None
     spent: int = 0
+    known: ActiveEffects = ()
 
     @property
     def data(self) -> Problem:
@@ -198,6 +201,8 @@ class SearchSetup:
         Whether sets of effects were compared, and a better one was found.
     sought : bool
         Whether laws were looked for in vain beyond what windows show.
+    known : sequence of (EffectInstance, (q,) array)
+        What regression is certain of: the search begins with it, if windows confirm it.
     """
 
     problem: Problem
@@ -215,6 +220,7 @@ class SearchSetup:
     worse: Mapping[str, Leader] = field(default_factory=dict)
     compared: bool = False
     sought: bool = False
+    known: ActiveEffects = ()
 
     @property
     def instances(self) -> list[EffectInstance]:

@@ -13,6 +13,7 @@ from dropo.diagnosis.findings.premises.numerics import refused_delay, short_dela
 from dropo.diagnosis.parts import Leader
 from dropo.diagnosis.search.arithmetic import Arithmetic, ArithmeticAlternatives
 from dropo.diagnosis.search.confirmation import gain_of
+from dropo.diagnosis.search.known_causes import begin_with
 from dropo.diagnosis.search.library import robot_of
 from dropo.diagnosis.search.linearization import Library, shift_linearization
 from dropo.diagnosis.search.refit import other_noise
@@ -160,7 +161,10 @@ def search_effects(setup: SearchSetup) -> tuple[SearchSetup, SearchedEffects]:
         setup.library, selection.floor, settings, selection.log, first, setup.won
     )
     try:
-        last, reviews = explain(setup, first, first, alternatives)
+        begun = begin_with(selection, first, setup.instances, setup.known)
+        selection.latest = begun
+        if begun is first or not alternatives(first, begun):
+            last, reviews = explain(setup, first, begun, alternatives)
         if alternatives.winner is None:
             return setup, SearchedEffects(first, last, reviews)
         return search_effects(_stepped(setup, alternatives.winner, alternatives.gain))

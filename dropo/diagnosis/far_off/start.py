@@ -10,10 +10,12 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.errors import BadArgument, Incompatible
 from dropo.diagnosis.far_off.model import GAIN, FarOffModel, reaching
+from dropo.diagnosis.findings.premises.chattering import chattering_sentences
 from dropo.diagnosis.regression.equation import is_floating
-from dropo.diagnosis.regression.missing import Missing
+from dropo.diagnosis.regression.missing import FoundNumber, Missing
 from dropo.diagnosis.regression.quick import (
     QuickSettings,
+    as_effects,
     estimate_missing,
     fixed_numbers,
 )
@@ -55,6 +57,22 @@ class FarOffLimits:
 
 
 @dataclass(frozen=True, eq=False)
+class RegressionStart:
+    """What regression says before anything is searched for.
+
+    Attributes
+    ----------
+    certain : sequence of (EffectInstance, (q,) array)
+        What is missing for certain, with its sizes.
+    far_off : FarOffStart or None
+        What a search by whole motions begins with; None where little is missing.
+    """
+
+    certain: ActiveEffects
+    far_off: "FarOffStart | None"
+
+
+@dataclass(frozen=True, eq=False)
 class FarOffStart:
     """What a search by whole motions begins with.
 
@@ -76,8 +94,8 @@ class FarOffStart:
 
 def start_of(
     problem: Problem, free: Ints, limits: FarOffLimits, settings: QuickSettings
-) -> FarOffStart | None:
-    """Find what a model lacks by regression, where that is much.
+) -> RegressionStart | None:
+    """Find what a model lacks by regression.
 
     Parameters
     ----------
@@ -92,24 +110,39 @@ def start_of(
 
     Returns
     -------
-    FarOffStart or None
-        None where little is missing, or where the robot or the data do not suit a regression.
+    RegressionStart or None
+        None where the robot or the data do not suit a regression.
     """
     simulator = robot_of(problem)
     if is_floating(simulator.model):  # motions through contacts are not replayed as a whole
         return None
-    fitted, checked = sides(problem, settings.checked)
     try:
-        estimate = estimate_missing(problem, fitted, settings)
+        estimate = estimate_missing(problem, sides(problem, settings.checked)[0], settings)
     except (Incompatible, BadArgument):
         return None
     named = [one for one in estimate.numbers(simulator, settings.certain) if one.named]
+    certain = () if chattering_sentences(problem) else as_effects(simulator, named)
+    far_off = _far_off(problem, free, limits, settings, estimate, named)
+    return RegressionStart(certain, far_off)
+
+
+def _far_off(
+    problem: Problem,
+    free: Ints,
+    limits: FarOffLimits,
+    settings: QuickSettings,
+    estimate: Missing,
+    named: Sequence[FoundNumber],
+) -> FarOffStart | None:
+    """What a search by whole motions begins with, where much is missing."""
+    simulator = robot_of(problem)
+    fitted, checked = sides(problem, settings.checked)
     sure = len(named) >= limits.numbers or abs(estimate.solution.gain) >= limits.gain
     if sure and not estimate.is_certain_gain(settings.certain):
         known = estimate.with_own_gain()
         if known.left <= limits.scale * estimate.left:
-            certain = known.certain_numbers(settings.certain)
-            sure = certain >= limits.numbers or abs(known.solution.gain) >= limits.gain
+            count = known.certain_numbers(settings.certain)
+            sure = count >= limits.numbers or abs(known.solution.gain) >= limits.gain
     if not sure and not _may_be(estimate, [one.effect for one in named], limits):
         return None
     space = simulator.space

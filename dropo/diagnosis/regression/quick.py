@@ -6,7 +6,7 @@ the ground, short windows are simulated for the friction there.
 """
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 
 import numpy as np
@@ -546,8 +546,25 @@ def fixed_numbers(simulator: RobotSimulator, estimate: Missing) -> ActiveEffects
     -------
     sequence of (EffectInstance, (q,) array)
     """
+    return as_effects(simulator, estimate.numbers(simulator, 0.0))
+
+
+def as_effects(simulator: RobotSimulator, numbers: Sequence[FoundNumber]) -> ActiveEffects:
+    """Return numbers that were found as effects of a robot.
+
+    Parameters
+    ----------
+    simulator : RobotSimulator
+        The robot.
+    numbers : sequence of FoundNumber
+        What it lacks.
+
+    Returns
+    -------
+    sequence of (EffectInstance, (q,) array)
+    """
     fixed = []
-    for number in estimate.numbers(simulator, 0.0):
+    for number in numbers:
         for instance in instances_of(simulator.effect_context, number.effect):
             if (instance.target, instance.variant) == (number.target, number.variant):
                 fixed.append((instance, _magnitudes(instance, dict(number.estimates))))

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from dropo.core.contracts.effect import EffectInstance
 from dropo.core.services.files.evaluation_log import EvaluationLog
 from dropo.core.services.validation import Array
 from dropo.diagnosis.search.confirmation import SelectionSettings, has_less_noise, is_confirmed
@@ -23,7 +24,7 @@ from dropo.diagnosis.search.linearization import (
 from dropo.diagnosis.search.record import Sides, recorded_sides
 from dropo.diagnosis.search.refit import refit, settle
 from dropo.diagnosis.search.trials import State, penalized_log_likelihood
-from dropo.mjmodel.options import integrator
+from dropo.mjmodel.options import integrator, physics_step
 from dropo.mjmodel.robot_simulator import RobotSimulator
 
 
@@ -170,7 +171,9 @@ class ArithmeticAlternatives:
         -------
         bool
             Whether windows held out confirm an alternative, which is then `winner`, and all windows
-            are as likely under it as with the effect, or likelier.
+            are as likely under it as with the effect, or likelier. Of an effect that shifts signals
+            or commands by less than a physics step, whether they do not confirm it in the place of
+            the alternative: that is what the step itself looks like.
         """
         simulator = self.library.simulator
         if not isinstance(simulator, RobotSimulator) or simulator.control_step is None:
@@ -179,7 +182,10 @@ class ArithmeticAlternatives:
         needed = self.selection.needed_gain(len(alternatives_of(simulator, self.settings)))
         needed = max(needed, self.selection.minimum_fraction * gained)
         before = penalized_log_likelihood(state)
-        of_effect = 0.0 if found is None else penalized_log_likelihood(found) - before
+        as_a_step = found is not None and _shifts_within_a_step(self.library, found)
+        of_effect = 0.0
+        if found is not None and not as_a_step:
+            of_effect = penalized_log_likelihood(found) - before
         least = max(of_effect, self.settings.further * self.won)
         # What promises too little on some of the windows to fit is not tried; both sides gain.
         arithmetic, promise = self._most_promising(simulator, state)
@@ -199,6 +205,10 @@ class ArithmeticAlternatives:
         alternative = self._fitted(simulator, arithmetic, state)
         if not is_better(alternative, least):
             return False
+        if found is not None and as_a_step:
+            more = self.selection.needed_gain(1)
+            if is_confirmed(alternative.test, found.test, more, self.selection):
+                return False
         self.gain = penalized_log_likelihood(alternative) - before
         self.winner = self._refined(simulator, arithmetic, alternative, needed)
         return True
@@ -306,3 +316,38 @@ class ArithmeticAlternatives:
         """The same effects with another simulator."""
         library = self.library
         return Library(simulator, library.instances, library.declared, library.differences)
+
+
+def shift_in_time(instance: EffectInstance, magnitudes: Array) -> float | None:
+    """Return how far an effect shifts signals or commands in time.
+
+    Parameters
+    ----------
+    instance : EffectInstance
+        Any effect.
+    magnitudes : (q,) array
+        Its numbers.
+
+    Returns
+    -------
+    float or None
+        The largest shift [s]; None of effects that shift nothing.
+    """
+    if instance.sensor_delay is not None:
+        return float(np.max(np.abs(instance.sensor_delay(magnitudes))))
+    times = [
+        abs(size)
+        for quantity, size in zip(instance.quantities, magnitudes.tolist(), strict=True)
+        if quantity.unit == "s"
+    ]
+    return max(times, default=None)
+
+
+def _shifts_within_a_step(library: Library, found: State) -> bool:
+    """Whether the last effect of a model shifts something by less than a physics step."""
+    simulator = library.simulator
+    if not isinstance(simulator, RobotSimulator) or not found.accepted:
+        return False
+    last = found.accepted[-1]
+    late = shift_in_time(last, found.theta[library.indices_of[last.label]])
+    return late is not None and late < physics_step(simulator.model)

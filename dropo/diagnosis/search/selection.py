@@ -264,7 +264,7 @@ class Selection:
         State or None
             None where no effect is confirmed.
         """
-        screened, promising = self._screen(state, instances)
+        screened, promising = self.screen(state, instances)
         needed_gain = self._needed_gain(state, without_effects, len(instances))
 
         # Refit batch after batch, until windows held out confirm an effect of a batch.
@@ -283,11 +283,22 @@ class Selection:
         found = self._accept_first(state, self._polished(unconfirmed), needed_gain)
         return None if found is None else self._with_partner(found, instances, needed_gain)
 
-    def _screen(
+    def screen(
         self, state: State, instances: Sequence[EffectInstance]
     ) -> tuple[list[Candidate], list[Candidate]]:
-        """All effects that are not in the model, by what the residuals promise of them, and the
-        few of them that are refitted.
+        """Screen the effects that are not in a model.
+
+        Parameters
+        ----------
+        state : State
+            The model.
+        instances : sequence of EffectInstance
+            The effects that may be accepted.
+
+        Returns
+        -------
+        screened, promising : list of Candidate
+            All of them, by what the residuals promise; and the few of them that are refitted.
         """
         settings = self.settings
         accepted = {instance.label for instance in state.accepted}
@@ -437,6 +448,38 @@ class Selection:
             if any(trial.candidate.instance.label == instance.label for trial in batch.trials):
                 self.origins[instance.label] = batch
                 return
+
+    def try_in_place_of(
+        self,
+        without: State,
+        instance: EffectInstance,
+        magnitudes: Array,
+        instances: Sequence[EffectInstance],
+    ) -> None:
+        """Try what may stand in the place of an effect that no batch has tried.
+
+        That batch becomes its origin. It has none where it promises too little by itself.
+
+        Parameters
+        ----------
+        without : State
+            The model without the effect.
+        instance : EffectInstance
+            The effect ...
+        magnitudes : (q,) array
+            ... as it was fitted beside the others.
+        instances : sequence of EffectInstance
+            The effects that may be accepted.
+        """
+        screened, promising = self.screen(without, instances)
+        own = next((one for one in screened if one.instance.label == instance.label), None)
+        if own is None:
+            return
+        others = [one for one in promising if one is not own][: self.settings.batch_size - 1]
+        candidates = [replace(own, magnitudes=magnitudes), *others]
+        batch = Batch(without, screened, self.try_candidates(without, candidates))
+        self.batches.append(batch)
+        self.origins[instance.label] = batch
 
     def _last_batch_with(self, candidate: Candidate) -> Batch:
         """The last batch in which a candidate was refitted."""

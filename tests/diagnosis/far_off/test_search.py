@@ -139,7 +139,7 @@ def test_data_held_out_decide_nothing():
     found = []
     for fitted, held_out in ((half, first), (half, last), (first, last)):
         given = replace(problem, trajectories=fitted, held_out=held_out)
-        start = start_of(given, free, FarOffLimits(gain=0.0), QuickSettings())
+        start = start_of(given, free, FarOffLimits(gain=0.0), QuickSettings()).far_off
         assert start.whole.held_out is held_out
         explained = FarOffSearch(SETTINGS, silent).run(start.model, start.whole)
         assert explained.model.problem.trajectories is fitted

@@ -9,7 +9,7 @@ import pytest
 from dropo.core.contracts.effect import instances_of
 from dropo.diagnosis.diagnose import Diagnose
 from dropo.diagnosis.far_off.model import FarOffModel
-from dropo.diagnosis.far_off.start import FarOffLimits, FarOffStart, start_of
+from dropo.diagnosis.far_off.start import FarOffLimits, FarOffStart, RegressionStart, start_of
 from dropo.diagnosis.regression.quick import QuickSettings, sides
 from dropo.mjmodel.fields import FieldParameter
 from dropo.problems.file.estimated_velocities import with_velocities
@@ -29,7 +29,7 @@ NONE = np.zeros(0, dtype=np.int64)
 
 def started(problem, free=NONE):
     """What a search of the problem begins with."""
-    return start_of(problem, free, FarOffLimits(), QuickSettings())
+    return start_of(problem, free, FarOffLimits(), QuickSettings()).far_off
 
 
 @pytest.fixture(scope="module")
@@ -145,7 +145,7 @@ def test_a_regression_that_motions_contradict_is_corrected(monkeypatch):
     absurd = FarOffModel(divided, nominal, NONE, [(effect, size)])
     monkeypatch.setattr(
         "dropo.diagnosis.diagnose.start_of",
-        lambda *arguments: FarOffStart(absurd, absurd.problem, True),
+        lambda *arguments: RegressionStart((), FarOffStart(absurd, absurd.problem, True)),
     )
     found = Diagnose(length=5, windows=24, disturbances=False).run(problem)
     assert [(one.effect, one.target) for one in found.causes] == [("joint_armature", "elbow")]

@@ -10,6 +10,7 @@ from dropo.core.contracts.effect import EffectInstance
 from dropo.core.contracts.problem import Problem
 from dropo.core.services.validation import Array
 from dropo.diagnosis.parts import Cause, effect_in_words
+from dropo.diagnosis.search.arithmetic import shift_in_time
 from dropo.diagnosis.search.confirmation import gain_of, is_confirmed
 from dropo.diagnosis.search.library import robot_of
 from dropo.diagnosis.search.linearization import Library, LinearizedWindows, shift_linearization
@@ -175,7 +176,7 @@ def _below_step(cause: Cause, step: float) -> str:
 
 
 def short_delay(instance: EffectInstance, magnitudes: Array, step: float) -> float | None:
-    """Return how late a delay is, if that is less than a physics step.
+    """Return how late something is by an effect, if that is less than a physics step.
 
     Parameters
     ----------
@@ -189,14 +190,10 @@ def short_delay(instance: EffectInstance, magnitudes: Array, step: float) -> flo
     Returns
     -------
     float or None
-        [s]; None of longer delays and other effects.
+        [s]; None where it is later, and of effects that shift nothing in time.
     """
-    if not instance.effect.endswith("_delay"):
-        return None
-    for quantity, size in zip(instance.quantities, magnitudes.tolist(), strict=True):
-        if quantity.unit == "s" and 0 < abs(size) < step:
-            return float(size)
-    return None
+    late = shift_in_time(instance, magnitudes)
+    return late if late is not None and 0 < late < step else None
 
 
 def refused_delay(
