@@ -1,5 +1,7 @@
 """What the physics step does is said to be the step's, and no cause."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -8,7 +10,13 @@ from dropo import Diagnose, Problem
 from dropo.core.contracts.effect import instances_of
 from dropo.core.records.trajectories import Trajectories
 from dropo.diagnosis.findings.premises.numerics import _share_of_step, short_delay
-from dropo.diagnosis.search.arithmetic import ArithmeticAlternatives
+from dropo.diagnosis.search.arithmetic import Arithmetic, ArithmeticAlternatives, shift_in_time
+from dropo.diagnosis.search.linearization import Library, shift_linearization
+from dropo.diagnosis.search.refit import NO_INDICES
+from dropo.diagnosis.search.selection import Selection
+from dropo.diagnosis.search.trials import penalized_log_likelihood
+from dropo.diagnosis.search.whitening import white
+from dropo.diagnosis.search.windows import split
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 XML = """
@@ -36,6 +44,19 @@ def pendulum(damping=0.0, finer=1, integrator="mjINT_EULER"):
     spec.option.timestep /= finer
     spec.joints[0].damping[0] = damping
     return MujocoSimulator(spec, [], frame_skip=2 * finer, threads=1)
+
+
+def chain(joints):
+    """Hinges one behind another, each on a motor."""
+    spec = mujoco.MjSpec()
+    body = spec.worldbody
+    for i in range(joints):
+        body = body.add_body(pos=[0, 0, -0.3 * bool(i)])
+        body.add_joint(name=f"joint{i}", axis=[0, 1, 0])
+        body.add_geom(size=[0.05, 0.05, 0.05], mass=0.5)
+        motor = spec.add_actuator(name=f"motor{i}", target=f"joint{i}")
+        motor.trntype = mujoco.mjtTrn.mjTRN_JOINT
+    return MujocoSimulator(spec, [], frame_skip=2, threads=1)
 
 
 def recorded(finer, integrator, late=0.0):
@@ -106,6 +127,54 @@ def test_a_delay_below_a_step_is_a_cause_where_all_is_explained():
     estimate = causes["sensor_delay"].estimate["delay"]
     assert abs(estimate.value - 0.004) < 4 * estimate.se
     assert not any(STEPS_SAID in text for text in found.numerics)
+
+
+@pytest.mark.parametrize(("within", "won"), [(True, True), (False, False)])
+def test_a_delay_below_a_step_must_be_confirmed_over_exact_steps(monkeypatch, within, won):
+    """Steps that are nearly as likely win against such a delay, for they cost no assumption; the
+    control: against one that is no shorter than a step they do not.
+    """
+    problem = recorded(1, "mjINT_EULER", late=0.004)
+    delay, _ = instances_of(problem.simulator.effect_context, "sensor_delay")
+    library = Library(pendulum(DAMPING).with_effects([delay]), [delay], 0)
+    search = Selection(library, 1e-3 * NOISE)
+    train, test = split(problem, 10, 20)
+    first = search.begin(train, test, np.zeros(1), white(NOISE), NO_INDICES)
+    found = search.try_set(first, np.array([0.004]), (), (delay,), scanned=())
+    noise = found.train.whiten.noise
+    sides = (found.train, found.test)
+    at = [shift_linearization(library, side, 0.998 * found.theta, noise) for side in sides]
+    nearly = replace(found, train=at[0], test=at[1])
+    loss = penalized_log_likelihood(found) - penalized_log_likelihood(nearly)
+    assert 0 < loss < 3
+    alternatives = ArithmeticAlternatives(
+        library, search.floor, search.settings, search.log, first=first
+    )
+    exact = Arithmetic(8)
+    monkeypatch.setattr(alternatives, "_most_promising", lambda *given: (exact, np.inf))
+    monkeypatch.setattr(alternatives, "_tried", lambda *given: nearly)
+    monkeypatch.setattr(alternatives, "_fitted", lambda *given: nearly)
+    if not within:
+        monkeypatch.setattr(
+            "dropo.diagnosis.search.arithmetic.shift_in_time", lambda *given: 2 * 0.01
+        )
+    assert alternatives(first, found) is won
+    assert alternatives.winner == (exact if won else None)
+
+
+def test_shifts_are_the_latest_signals():
+    """Of three joints that are read one after another the first is read twice the interval early,
+    or the last; a delay's and a lag's are their own.
+    """
+    context = chain(3).effect_context
+    (polling,) = instances_of(context, "sensor_polling")
+    for interval in (0.001, -0.001):
+        assert shift_in_time(polling, np.array([interval])) == pytest.approx(0.002)
+    for name in ("actuator_delay", "actuator_lag"):
+        one = next(iter(instances_of(context, name)))
+        assert shift_in_time(one, np.array([0.003])) == pytest.approx(0.003)
+    damping = next(iter(instances_of(context, "joint_damping")))
+    assert shift_in_time(damping, np.array([0.003])) is None
 
 
 @pytest.mark.parametrize(("late", "told"), [(0.004, 0.004), (0.012, None)])
