@@ -8,7 +8,7 @@ from dropo.core.contracts.effect import ActiveEffects, EffectInstance
 from dropo.diagnosis.search.confirmation import is_confirmed
 from dropo.diagnosis.search.review import without_effects
 from dropo.diagnosis.search.selection import Selection
-from dropo.diagnosis.search.trials import State
+from dropo.diagnosis.search.trials import State, penalized_log_likelihood
 
 
 def begin_with(
@@ -17,7 +17,8 @@ def begin_with(
     """Accept effects together, before any is looked for.
 
     Windows of a few steps may take an effect for another, which regression over whole logs does
-    not; others are no better than they are, together.
+    not. But forces are not all that may be wrong: where one effect explains the windows better than
+    all that regression is certain of, such as signals that are late, the search begins with that.
 
     Parameters
     ----------
@@ -33,7 +34,7 @@ def begin_with(
     Returns
     -------
     State
-        `first` itself where windows held out do not confirm them.
+        `first` itself where windows held out do not confirm them, or one effect explains more.
     """
     library = selection.library
     space = library.simulator.space
@@ -54,7 +55,12 @@ def begin_with(
     together = selection.polish(together)
     if not is_confirmed(first.test, together.test, needed, selection.settings):
         return first
+    alone = selection.step(first, instances, first)
+    if alone is not None and penalized_log_likelihood(alone) > penalized_log_likelihood(together):
+        return first
     for instance in added:
+        if instance.label in selection.origins:
+            continue
         without = first
         if len(added) > 1:
             without = selection.polish(without_effects(selection, together, [instance]))

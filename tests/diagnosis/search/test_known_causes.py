@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from dropo.diagnosis.search.confirmation import is_confirmed
 from dropo.diagnosis.search.known_causes import begin_with
 from tests.models.linear_mass import instances, measured, selection
 
@@ -40,3 +41,16 @@ def test_what_windows_do_not_confirm_is_left_to_the_search(hidden, known):
     search, first, state = begun(hidden, known)
     assert state is first
     assert search.origins == {}
+
+
+def test_one_effect_that_explains_more_is_left_to_the_search():
+    """Regression has friction in the place of damping, which windows held out would confirm."""
+    hidden = {"damping": 0.2}
+    search, first, state = begun(hidden, {"friction": 0.1})
+    assert state is first
+    of_name = {instance.effect: instance for instance in instances()}
+    theta = first.theta.copy()
+    theta[search.library.indices_of[of_name["friction"].label]] = 0.1
+    wrong = search.polish(search.try_set(first, theta, (), (of_name["friction"],), scanned=()))
+    needed = search.settings.needed_gain(len(instances()))
+    assert is_confirmed(first.test, wrong.test, needed, search.settings)
