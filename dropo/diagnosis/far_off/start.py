@@ -57,22 +57,6 @@ class FarOffLimits:
 
 
 @dataclass(frozen=True, eq=False)
-class RegressionStart:
-    """What regression says before anything is searched for.
-
-    Attributes
-    ----------
-    certain : sequence of (EffectInstance, (q,) array)
-        What is missing for certain, with its sizes.
-    far_off : FarOffStart or None
-        What a search by whole motions begins with; None where little is missing.
-    """
-
-    certain: ActiveEffects
-    far_off: "FarOffStart | None"
-
-
-@dataclass(frozen=True, eq=False)
 class FarOffStart:
     """What a search by whole motions begins with.
 
@@ -90,6 +74,22 @@ class FarOffStart:
     model: FarOffModel
     whole: Problem
     sure: bool
+
+
+@dataclass(frozen=True, eq=False)
+class RegressionStart:
+    """What regression says before anything is searched for.
+
+    Attributes
+    ----------
+    certain : sequence of (EffectInstance, (q,) array)
+        What is missing for certain, with its sizes.
+    far_off : FarOffStart or None
+        What a search by whole motions begins with; None where little is missing.
+    """
+
+    certain: ActiveEffects
+    far_off: FarOffStart | None
 
 
 def start_of(
@@ -136,7 +136,6 @@ def _far_off(
 ) -> FarOffStart | None:
     """What a search by whole motions begins with, where much is missing."""
     simulator = robot_of(problem)
-    fitted, checked = sides(problem, settings.checked)
     sure = len(named) >= limits.numbers or abs(estimate.solution.gain) >= limits.gain
     if sure and not estimate.is_certain_gain(settings.certain):
         known = estimate.with_own_gain()
@@ -155,6 +154,7 @@ def _far_off(
         for i, value in changed_parameters(simulator, instance, sizes).items():
             values[i] = np.clip(value, space.low[i], space.high[i])
     numbers += _gain(simulator, free, numbers)
+    fitted, checked = sides(problem, settings.checked)
     whole = divided = replace(problem, trajectories=fitted, held_out=checked)
     if problem.held_out is not None:
         fitted, checked = sides(replace(problem, held_out=None), settings.checked)
