@@ -145,13 +145,12 @@ def many_parameters(rounds: Mapping[str, Any]) -> list[Row]:
 
 def on_a_gpu(found: Mapping[str, Any]) -> list[Row]:
     """The published method on a GPU, from gpu.py, and the backend's checks without one."""
-    rate = found.get("hopper-noisy")
+    seconds = found.get("published", {}).get("noisy")
     goal = "the published method unabridged, 2e9 steps, on one GPU: 5 minutes"
-    if rate is None:
+    if seconds is None:
         rows = [Row(goal, "-", None, "no GPU was at hand")]
     else:
-        minutes = 2e9 / rate / 60
-        rows = [Row(goal, f"{minutes:.1f} min at {rate:,.0f} steps/s", minutes <= 5)]
+        rows = [Row(goal, f"{seconds / 60:.1f} min", seconds <= 300)]
     times = json.loads(DURATIONS.read_text())
     spent = sum(value for key, value in times.items() if "simulators/test_warp.py" in key)
     checks = "checks of the GPU's simulator on the CPU: 60 s"

@@ -1,14 +1,22 @@
-"""Steps per second of MuJoCo Warp on a GPU, beside MuJoCo on all cores of the same machine.
+"""Steps per second of MuJoCo Warp on a GPU, beside MuJoCo on all cores of the same machine, and the
+published method unabridged on the GPU.
 
-`python benchmarks/gpu.py` writes the table into the README; "not measured" where Warp finds no GPU.
+python benchmarks/gpu.py             the table in the README, from what `gpu.json` holds
+python benchmarks/gpu.py rates       measures the steps per second before
+python benchmarks/gpu.py published   measures the published method before
+
+What is measured is kept in `gpu.json`, row by row. Without a GPU nothing is measured.
 """
 
 import datetime as dt
 import importlib.util
+import json
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,8 +26,12 @@ from benchmarks.readme import numbers, write_block
 from benchmarks.robots import humanoid_problem, quadruped_problem
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import Simulator
+from dropo.core.services.files.atomic_write import write_text
 from dropo.problems.loading import load
+from dropo.studies.tiboni_2021.hopper_fits import AS_PUBLISHED, estimator, found
+from dropo.studies.tiboni_2021.hopper_sets import FULL, THESIS, data_set
 
+KEPT = Path(__file__).with_name("gpu.json")
 PROBLEMS: dict[str, Callable[[], Problem]] = {
     "hopper-noisy": lambda: load("hopper-noisy"),
     "half-cheetah": lambda: load("half-cheetah"),
@@ -27,6 +39,8 @@ PROBLEMS: dict[str, Callable[[], Problem]] = {
     "humanoid, 29 joints": lambda: humanoid_problem(500, 0),
 }
 WORLDS = (1_000, 10_000, 100_000)
+AT_A_TIME = 1 << 17
+"""Worlds of the published method, more than the draws of one distribution on all transitions."""
 
 
 def device() -> str | None:
@@ -36,8 +50,15 @@ def device() -> str | None:
     import warp as wp
 
     wp.config.log_level = wp.LOG_ERROR  # else its greeting is printed, too
-    found = [device for device in wp.get_devices() if device.is_cuda]
-    return str(found[0].name) if found else None
+    there = [device for device in wp.get_devices() if device.is_cuda]
+    return str(there[0].name) if there else None
+
+
+def on_gpu(problem: Problem, worlds: int) -> Problem:
+    """The problem simulated by Warp, so many worlds at a time."""
+    changed = problem.using(simulator="warp")
+    changed.simulator.worlds = worlds  # type: ignore[attr-defined]
+    return changed
 
 
 def rate(simulator: Simulator, problem: Problem, worlds: int) -> float:
@@ -53,28 +74,90 @@ def rate(simulator: Simulator, problem: Problem, worlds: int) -> float:
     return (simulator.steps - before) / (time.perf_counter() - begun)
 
 
-def table() -> str:
-    """A Markdown table, with device and date."""
-    gpu = device()
-    lines = ["| problem | worlds | CPU, steps/s | GPU, steps/s |", "|---|---|---|---|"]
-    fastest: dict[str, float] = {}
+def measure_rates() -> None:
+    """Keep the steps per second of each problem with each number of worlds."""
     for name, made in PROBLEMS.items():
+        problem = made()
         for worlds in WORLDS:
+            pair = (problem.simulator, on_gpu(problem, worlds).simulator)
+            rates = [rate(simulator, problem, worlds) for simulator in pair]
+            keep("rates", f"{name} | {worlds:,}", rates)
+
+
+def measure_published(data: str = "noisy", budget: int | None = None) -> None:
+    """Keep what the published method finds in the first data set of table 6.1, all evaluations."""
+    problem, drawn = data_set("6.1", data, 0)
+    method: Any = estimator(AS_PUBLISHED, FULL)
+    if budget is not None:
+        method = replace(method, budget=budget)
+    begun = time.perf_counter()
+    row = found(method.fit(on_gpu(problem, AT_A_TIME), rng=0))
+    row["seconds"] = time.perf_counter() - begun
+    keep("published", data, row | {"drawn": drawn[0].tolist()})
+
+
+def keep(part: str, name: str, row: Any) -> None:
+    """Add what was measured, with device and date, to the file."""
+    kept = read()
+    stamp = f"{device()}, {dt.date.today()}"
+    kept.setdefault(part, {})[name] = {"where": stamp, "found": row}
+    write_text(KEPT, json.dumps(kept, indent=1) + "\n")
+
+
+def read() -> dict[str, Any]:
+    """What the file holds."""
+    return dict(json.loads(KEPT.read_text())) if KEPT.exists() else {}
+
+
+def table() -> str:
+    """Markdown tables of what the file holds, with devices and dates."""
+    kept = read()
+    rates = kept.get("rates", {})
+    places = sorted({row["where"] for part in kept.values() for row in part.values()})
+    said = "; ".join(places) if places else "No GPU was at hand"
+    lines = [f"{said}.", "", "| problem | worlds | CPU, steps/s | GPU, steps/s |"]
+    lines.append("|---|---|---|---|")
+    for name in PROBLEMS:
+        for worlds in WORLDS:
+            key = f"{name} | {worlds:,}"
             cells = "not measured | not measured"
-            if gpu is not None:
-                problem = made()
-                warp = problem.using(simulator="warp").simulator
-                warp.worlds = worlds  # type: ignore[attr-defined]
-                rates = [rate(one, problem, worlds) for one in (problem.simulator, warp)]
-                cells = " | ".join(f"{one:,.0f}" for one in rates)
-                fastest[name] = max(fastest.get(name, 0.0), rates[1])
-            lines.append(f"| {name} | {worlds:,} | {cells} |")
-    said = "No GPU was at hand." if gpu is None else f"{gpu}, {dt.date.today()}."
-    return f"{said}\n\n" + "\n".join([*lines, numbers(fastest)])
+            if key in rates:
+                cells = " | ".join(f"{one:,.0f}" for one in rates[key]["found"])
+            lines.append(f"| {key} | {cells} |")
+    lines += ["", *published_table(kept.get("published", {}))]
+    seconds = {name: row["found"]["seconds"] for name, row in kept.get("published", {}).items()}
+    return "\n".join([*lines, numbers({"published": seconds})])
+
+
+def published_table(rows: dict[str, Any]) -> list[str]:
+    """Lines of a Markdown table: the published method on table 6.1, beside the thesis' own."""
+    lines = [
+        "| table 6.1, published method | evaluations | steps | s | masses [kg] | drawn [kg] |"
+        " thesis [kg] |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    if not rows:
+        lines.append("| noisy | not measured | | | | | |")
+    for data, row in rows.items():
+        one = row["found"]
+        printed, _ = THESIS["6.1", data, "dropo"]
+        masses = [
+            ", ".join(f"{mass:.3f}" for mass in given)
+            for given in (one["mean"], one["drawn"], printed)
+        ]
+        counts = f"{one['evaluations']:,} | {one['steps']:.3g} | {one['seconds']:.0f}"
+        lines.append(f"| {data} | {counts} | {' | '.join(masses)} |")
+    return lines
 
 
 def main() -> None:
-    """The table, into the README between `<!-- gpu -->` and `<!-- end -->` too."""
+    """What is asked for, then the table, into the README between `<!-- gpu -->` too."""
+    measures = {"rates": measure_rates, "published": measure_published}
+    for part in sys.argv[1:]:
+        if device() is None:
+            print("Warp finds no GPU: nothing is measured.", file=sys.stderr)
+            break
+        measures[part]()
     text = table()
     write_block("gpu", text)
     print(text)

@@ -3,7 +3,7 @@
 import copy
 import dataclasses
 import warnings
-from typing import Any
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
@@ -16,12 +16,12 @@ from dropo.core.services.optional_dependencies import need
 from dropo.core.services.run_warning import DropoWarning
 from dropo.core.services.validation import Array, require
 from dropo.mjmodel.fields import OPTION
-from dropo.mjmodel.names import element_of_type
-from dropo.simulators.mujoco.simulator import MAX_STATE, MujocoSimulator
+from dropo.simulators.mujoco.simulator import MujocoSimulator
 from dropo.simulators.mujoco.worker import Worker
+from dropo.simulators.warp.worlds import Worlds, put_model
 
-ROOM = 6
-"""How often the room for contacts and constraints is doubled where a world needs more."""
+KEPT = 4
+"""How many sets of worlds, each of another size, are kept for the next prediction."""
 
 ON_THE_CPU = (
     "Warp finds no CUDA device and simulates on the CPU, in single precision and about 30 times"
@@ -77,14 +77,16 @@ class WarpSimulator(Simulator):
         self._model = copy.copy(cpu.model)
         # Warp resets no world by itself.
         self._model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-        self._batched = self._fields_by_world()
+        self._made: dict[tuple[int, tuple[tuple[str, int], ...]], Worlds] = {}
+        batched = self._fields_by_world()
         for binding in cpu.bindings:
             for field, _, _ in binding.entries(cpu.model):
-                if field not in self._batched:
+                if field not in batched:
                     raise Incompatible(
                         f"Parameter {binding.parameter.name!r}: in Warp all worlds share one"
                         f" {field!r}. Use the simulator 'mujoco', or leave that parameter out."
                     )
+        self._moved = self._moved_by_parameters(batched)
 
     def targets(self, segments: Segments) -> Array:
         """Measured signals (R, p) at every compared row; rotations are 0."""
@@ -123,67 +125,70 @@ class WarpSimulator(Simulator):
         return WarpSimulator(finer, device=self.device, worlds=self.worlds)
 
     def _predict(self, values: Array, segments: Segments, offsets: Array | None) -> Array:
-        out = np.empty((len(values), len(segments.rows[0]), len(self.signals)))
-        fields = self._numbers(values)
-        commands = self.cpu.commands_of(segments.actions)
-        targets = segments.targets
-        first_row = np.searchsorted(segments.rows[0], np.arange(len(segments)))
-        ends: Array | None = None
-        if len(segments.levels) > 1:
-            size = 1 + self._model.nq + self._model.nv + self._model.na
-            ends = np.empty((len(values), len(segments), size))
+        task = _Task(self, values, segments, offsets)
         for level in segments.levels:
             for length in np.unique(segments.lengths[level]):
-                block = level[segments.lengths[level] == length]
-                begin = 0
-                while begin < len(values) * len(block):  # self.worlds may shrink on the way
-                    stop = min(begin + self.worlds, len(values) * len(block))
-                    draw, place = np.divmod(np.arange(begin, stop), len(block))
-                    own = block[place]
-                    begin = stop
-                    states = self._start_states(segments, own, draw, offsets, ends)
-                    numbers = {name: array[draw] for name, array in fields.items()}
-                    every = segments.every_step
-                    seen, last = self._simulate(numbers, states, commands[own, :length], every)
-                    rows = first_row[own, None] + np.arange(seen.shape[1])
-                    out[draw[:, None], rows] = self.cpu.layout.coordinates(seen, targets[rows])
-                    if ends is not None:
-                        ends[draw, own] = last
-        return out
+                self._fill(task, np.arange(len(values)), level[segments.lengths[level] == length])
+        return task.out
 
-    def _start_states(
-        self, segments: Segments, own: Ints, draw: Ints, offsets: Array | None, ends: Array | None
-    ) -> Array:
-        """Physics states (W, 1 + nq + nv + na) at the starts of segments, or where others ended."""
-        layout = self.cpu.layout
-        starts = segments.starts[own]
-        if offsets is not None:
-            starts = layout.move(starts, offsets[draw, own])
-        before = segments.previous[own]
-        if ends is None or before[0] < 0:
-            return layout.full_states(starts, self._model)
-        states = ends[draw, before]
-        states[:, 0] = 0.0
-        layout.write_start(states, starts, segments.set_columns, self._model)
-        return states
+    def _fill(self, task: "_Task", draws: Ints, own: Ints) -> None:
+        """Predict some segments of one length by some of the values, in halves where needed."""
+        count = len(draws) * len(own)
+        if count <= self.worlds:
+            try:
+                return self._roll(task, draws, own)
+            except (RuntimeError, MemoryError) as error:
+                said = str(error).lower()
+                of_memory = isinstance(error, MemoryError) or "alloc" in said or "memory" in said
+                if count == 1 or not of_memory:
+                    raise
+            self._made.clear()
+            self.worlds = -(-count // 2)
+            sentence = f"{self.device} has no memory for {count} worlds: going on with"
+            warnings.warn(f"{sentence} {self.worlds}.", DropoWarning, stacklevel=2)
+        if len(own) > 1:
+            middle = -(-len(own) // 2)
+            self._fill(task, draws, own[:middle])
+            self._fill(task, draws, own[middle:])
+        else:
+            middle = -(-len(draws) // 2)
+            self._fill(task, draws[:middle], own)
+            self._fill(task, draws[middle:], own)
+
+    def _roll(self, task: "_Task", draws: Ints, own: Ints) -> None:
+        """As `_fill`, all at once: world w has the w % len(draws)-th of the values."""
+        place, column = np.divmod(np.arange(len(draws) * len(own)), len(draws))
+        draw = draws[column]
+        chosen = own[place]
+        fields = {name: rows[draws] for name, rows in task.fields.items()}
+        worlds = self._worlds_for(fields, len(draw))
+        segments = task.segments
+        length = segments.lengths[own[0]]
+        found = worlds.roll(
+            fields,
+            task.start_states(draw, chosen),
+            task.commands[chosen, :length],
+            self.cpu.layout,
+            segments.every_step,
+        )
+        task.keep(draw, chosen, *found)
+
+    def _worlds_for(self, fields: dict[str, Array], count: int) -> Worlds:
+        """So many worlds with these fields, from before where there are such."""
+        rows = tuple((name, len(array)) for name, array in fields.items())
+        worlds = self._made.pop((count, rows), None)
+        if worlds is None:
+            if len(self._made) == KEPT:
+                del self._made[next(iter(self._made))]
+            worlds = Worlds(self._model, fields, count, self.device, self.steps_per_action)
+        self._made[count, rows] = worlds
+        return worlds
 
     # --- the model in Warp
 
-    def _put(self, sizes: dict[str, int]) -> Any:
-        """Warp's model, some fields by world; Incompatible, with the element, where it has none."""
-        import mujoco_warp
-        import warp as wp
-
-        try:
-            with wp.ScopedDevice(self.device):
-                return mujoco_warp.put_model(self._model, batch_sizes=sizes)
-        except NotImplementedError as error:
-            where = element_of_type(self._model, str(error))
-            raise Incompatible(f"Warp cannot hold {where}: {error}") from None
-
     def _fields_by_world(self) -> list[str]:
         """Fields of the model of which every world may have its own numbers."""
-        held = self._put({})
+        held = put_model(self._model, self.device, {})
         found = []
         for prefix, part in (("", held), (OPTION, held.opt)):
             for field in dataclasses.fields(part):
@@ -194,114 +199,65 @@ class WarpSimulator(Simulator):
                     found += [prefix + field.name] * (ours == theirs and 0 not in ours)
         return found
 
-    def _numbers(self, values: Array) -> dict[str, Array]:
-        """The fields that differ from the model's, (K, ...) of each parameter vector."""
+    def _moved_by_parameters(self, fields: Sequence[str]) -> list[str]:
+        """Those of the fields that are not the model's own under some values of the parameters."""
+        probes = np.array([0.0, 0.4, 1.0])[:, None] * np.ones(len(self.space))
+        numbers = self._numbers(self.space.from_unit(probes), fields)
+        own = {name: _numbers_of(self._model, name) for name in fields}
+        return [name for name, rows in numbers.items() if (rows != own[name]).any()]
+
+    def _numbers(self, values: Array, fields: Sequence[str]) -> dict[str, Array]:
+        """The numbers (K, ...) of fields under each parameter vector."""
         worker = Worker(self.cpu.simulated, self.cpu.bindings)
-        rows: dict[str, list[Array]] = {name: [] for name in self._batched}
-        for value in values:
+        found = {
+            name: np.empty((len(values), *_numbers_of(self._model, name).shape)) for name in fields
+        }
+        for row, value in enumerate(values):
             worker.set(value)
-            for name, numbers in rows.items():
-                numbers.append(_numbers_of(worker.model, name).copy())
-        found = {}
-        for name, numbers in rows.items():
-            own = np.stack(numbers)
-            if (own != _numbers_of(self._model, name)).any():
-                found[name] = own
+            for name in fields:
+                found[name][row] = _numbers_of(worker.model, name)
         return found
 
-    # --- worlds
 
-    def _simulate(
-        self, numbers: dict[str, Array], states: Array, commands: Array, every: bool
-    ) -> tuple[Array, Array]:
-        """Observations (W, L or 1, P) and last states of W worlds, in halves where memory ends."""
-        try:
-            return self._roll(numbers, states, commands, every)
-        except (RuntimeError, MemoryError) as error:
-            said = str(error).lower()
-            of_memory = isinstance(error, MemoryError) or "alloc" in said or "memory" in said
-            if len(states) == 1 or not of_memory:
-                raise
-        half = -(-len(states) // 2)
-        self.worlds = min(self.worlds, half)
-        sentence = f"{self.device} has no memory for {len(states)} worlds: going on with {half}."
-        warnings.warn(sentence, DropoWarning, stacklevel=2)
-        seen = []
-        last = []
-        for which in (slice(0, half), slice(half, None)):
-            own = {name: array[which] for name, array in numbers.items()}
-            found = self._simulate(own, states[which], commands[which], every)
-            seen.append(found[0])
-            last.append(found[1])
-        return np.concatenate(seen), np.concatenate(last)
+class _Task:
+    """What a prediction is made of: numbers by value, starts, commands, and what is found."""
 
-    def _roll(
-        self, numbers: dict[str, Array], states: Array, commands: Array, every: bool
-    ) -> tuple[Array, Array]:
-        """As `_simulate`, all at once, with more room where a world has more contacts than held."""
-        import mujoco_warp
-        import warp as wp
+    def __init__(
+        self, simulator: WarpSimulator, values: Array, segments: Segments, offsets: Array | None
+    ):
+        self.segments = segments
+        self.fields = simulator._numbers(values, simulator._moved)
+        self.commands = simulator.cpu.commands_of(segments.actions)
+        self.out = np.empty((len(values), len(segments.rows[0]), len(simulator.signals)))
+        self._layout = simulator.cpu.layout
+        self._model = simulator.cpu.model
+        self._offsets = offsets
+        self._targets = segments.targets
+        self._first_row = np.searchsorted(segments.rows[0], np.arange(len(segments)))
+        size = 1 + self._model.nq + self._model.nv + self._model.na
+        chained = len(segments.levels) > 1
+        self._ends = np.empty((len(values), len(segments), size)) if chained else None
 
-        held = self._put({name: len(states) for name in numbers if not name.startswith(OPTION)})
-        kinds = mujoco_warp.OverflowType
-        full = kinds.NEFC | kinds.NJMAX_NNZ | kinds.BROADPHASE | kinds.NARROWPHASE
-        room: dict[str, int] = {}
-        with wp.ScopedDevice(self.device):
-            for name, array in numbers.items():
-                owner = held.opt if name.startswith(OPTION) else held
-                field = name.removeprefix(OPTION)
-                kind = getattr(owner, field).dtype
-                setattr(owner, field, wp.array(array.astype(np.float32), dtype=kind))
-            for _ in range(ROOM):
-                data = mujoco_warp.make_data(self._model, nworld=len(states), **room)
-                found = self._trace(held, data, states, commands, every)
-                if not np.bitwise_or.reduce(data.overflow.numpy()) & full:
-                    return found
-                room = {"naconmax": 2 * data.naconmax, "njmax": 2 * data.njmax}
-        raise Incompatible(f"Warp has no room for more than {data.njmax} constraints in a world.")
+    def start_states(self, draw: Ints, own: Ints) -> Array:
+        """Physics states (W, 1 + nq + nv + na) at the starts of segments, or where others ended."""
+        segments = self.segments
+        starts = segments.starts[own]
+        if self._offsets is not None:
+            starts = self._layout.move(starts, self._offsets[draw, own])
+        before = segments.previous[own]
+        if self._ends is None or before[0] < 0:
+            return self._layout.full_states(starts, self._model)
+        states = self._ends[draw, before]
+        states[:, 0] = 0.0
+        self._layout.write_start(states, starts, segments.set_columns, self._model)
+        return states
 
-    def _trace(
-        self, held: Any, data: Any, states: Array, commands: Array, every: bool
-    ) -> tuple[Array, Array]:
-        """Step worlds through their commands (W, L, nu), on a GPU an action a launch."""
-        import mujoco_warp
-        import warp as wp
-
-        graph = None
-        if wp.get_device(self.device).is_cuda:
-            mujoco_warp.step(held, data)  # compiles what cannot be compiled while it is captured
-            with wp.ScopedCapture() as capture:
-                for _ in range(self.steps_per_action):
-                    mujoco_warp.step(held, data)
-            graph = capture.graph
-            for array in (data.time, data.qacc_warmstart, data.overflow):
-                array.zero_()
-        model = self._model
-        place = 1
-        for field, size in (("qpos", model.nq), ("qvel", model.nv), ("act", model.na)):
-            if size:
-                getattr(data, field).assign(states[:, place : place + size].astype(np.float32))
-            place += size
-        observed = []
-        for step in range(commands.shape[1]):
-            if model.nu:
-                data.ctrl.assign(commands[:, step].astype(np.float32))
-            if graph is not None:
-                wp.capture_launch(graph)
-            for _ in range(0 if graph else self.steps_per_action):
-                mujoco_warp.step(held, data)
-            if not every and step < commands.shape[1] - 1:
-                continue
-            parts = [data.time.numpy()[:, None], data.qpos.numpy(), data.qvel.numpy()]
-            parts.append(data.act.numpy().reshape(len(states), model.na))
-            now = np.concatenate(parts, axis=1).astype(float)
-            now[~(np.abs(now) < MAX_STATE).all(axis=1)] = np.nan
-            sensors = None
-            if self.cpu.layout.needs_sensors:
-                mujoco_warp.forward(held, data)
-                sensors = data.sensordata.numpy().astype(float)
-            observed.append(self.cpu.layout.observe(now, sensors, model))
-        return np.stack(observed, axis=1), now
+    def keep(self, draw: Ints, own: Ints, seen: Array, last: Array) -> None:
+        """Write the observations (W, L or 1, P) and last states of W worlds where they belong."""
+        rows = self._first_row[own, None] + np.arange(seen.shape[1])
+        self.out[draw[:, None], rows] = self._layout.coordinates(seen, self._targets[rows])
+        if self._ends is not None:
+            self._ends[draw, own] = last
 
 
 def _numbers_of(model: mujoco.MjModel, name: str) -> Array:
