@@ -18,10 +18,13 @@ from dropo.core.services.validation import Array, require
 from dropo.mjmodel.fields import OPTION
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 from dropo.simulators.mujoco.worker import Worker
-from dropo.simulators.warp.worlds import Worlds, put_model
+from dropo.simulators.warp.worlds import Room, Worlds, put_model
 
 KEPT = 4
-"""How many sets of worlds, each of another size, are kept for the next prediction."""
+"""Of how many sizes worlds are kept for the next prediction."""
+
+AHEAD = 2
+"""How many sets of worlds a GPU simulates, or has simulated, while another is prepared."""
 
 ON_THE_CPU = (
     "Warp finds no CUDA device and simulates on the CPU, in single precision and about 30 times"
@@ -77,7 +80,8 @@ class WarpSimulator(Simulator):
         self._model = copy.copy(cpu.model)
         # Warp resets no world by itself.
         self._model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-        self._made: dict[tuple[int, tuple[tuple[str, int], ...]], Worlds] = {}
+        self._made: dict[tuple[object, ...], list[Worlds]] = {}
+        self._room = Room()
         batched = self._fields_by_world()
         for binding in cpu.bindings:
             for field, _, _ in binding.entries(cpu.model):
@@ -128,15 +132,19 @@ class WarpSimulator(Simulator):
         task = _Task(self, values, segments, offsets)
         for level in segments.levels:
             for length in np.unique(segments.lengths[level]):
-                self._fill(task, np.arange(len(values)), level[segments.lengths[level] == length])
+                own = level[segments.lengths[level] == length]
+                self._fill(task, slice(0, len(values)), own)
+            while task.begun:
+                self._finish(task)
         return task.out
 
-    def _fill(self, task: "_Task", draws: Ints, own: Ints) -> None:
-        """Predict some segments of one length by some of the values, in halves where needed."""
-        count = len(draws) * len(own)
+    def _fill(self, task: "_Task", draws: slice, own: Ints) -> None:
+        """Begin some segments of one length with some of the values, in halves where needed."""
+        values = draws.stop - draws.start
+        count = values * len(own)
         if count <= self.worlds:
             try:
-                return self._roll(task, draws, own)
+                return self._begin(task, draws, own)
             except (RuntimeError, MemoryError) as error:
                 said = str(error).lower()
                 of_memory = isinstance(error, MemoryError) or "alloc" in said or "memory" in said
@@ -151,38 +159,44 @@ class WarpSimulator(Simulator):
             self._fill(task, draws, own[:middle])
             self._fill(task, draws, own[middle:])
         else:
-            middle = -(-len(draws) // 2)
-            self._fill(task, draws[:middle], own)
-            self._fill(task, draws[middle:], own)
+            middle = draws.start - (-values // 2)
+            self._fill(task, slice(draws.start, middle), own)
+            self._fill(task, slice(middle, draws.stop), own)
 
-    def _roll(self, task: "_Task", draws: Ints, own: Ints) -> None:
-        """As `_fill`, all at once: world w has the w % len(draws)-th of the values."""
-        place, column = np.divmod(np.arange(len(draws) * len(own)), len(draws))
-        draw = draws[column]
-        chosen = own[place]
+    def _begin(self, task: "_Task", draws: slice, own: Ints) -> None:
+        """As `_fill`, all at once: world w has the w % K-th of the K values."""
+        values = draws.stop - draws.start
+        place, draw = np.divmod(np.arange(values * len(own)), values)
         fields = {name: rows[draws] for name, rows in task.fields.items()}
         worlds = self._worlds_for(fields, len(draw))
+        chosen = own[place]
         segments = task.segments
-        length = segments.lengths[own[0]]
-        found = worlds.roll(
+        worlds.begin(
             fields,
-            task.start_states(draw, chosen),
-            task.commands[chosen, :length],
-            self.cpu.layout,
-            segments.every_step,
+            task.start_states(draws.start + draw, chosen),
+            task.commands[chosen, : segments.lengths[own[0]]],
+            every=segments.every_step,
+            sensors=self.cpu.layout.needs_sensors,
         )
-        task.keep(draw, chosen, *found)
+        task.begun.append((worlds, draws, own))
+        if len(task.begun) > AHEAD:
+            self._finish(task)
+
+    def _finish(self, task: "_Task") -> None:
+        """Keep what the first of those found that have begun."""
+        worlds, draws, own = task.begun.pop(0)
+        task.keep(draws, own, *worlds.end())
+        waiting = self._made.setdefault(worlds.key, [])
+        waiting.append(worlds)
 
     def _worlds_for(self, fields: dict[str, Array], count: int) -> Worlds:
         """So many worlds with these fields, from before where there are such."""
-        rows = tuple((name, len(array)) for name, array in fields.items())
-        worlds = self._made.pop((count, rows), None)
-        if worlds is None:
-            if len(self._made) == KEPT:
-                del self._made[next(iter(self._made))]
-            worlds = Worlds(self._model, fields, count, self.device, self.steps_per_action)
-        self._made[count, rows] = worlds
-        return worlds
+        key = (count, *((name, len(array)) for name, array in fields.items()))
+        if self._made.get(key):
+            return self._made[key].pop()
+        if len(self._made) > KEPT:
+            del self._made[next(iter(self._made))]
+        return Worlds(self._model, fields, count, self.device, self.steps_per_action, self._room)
 
     # --- the model in Warp
 
@@ -233,6 +247,8 @@ class _Task:
         self._model = simulator.cpu.model
         self._offsets = offsets
         self._targets = segments.targets
+        self._measured = self._layout.full_states(segments.starts, self._model)
+        self.begun: list[tuple[Worlds, slice, Ints]] = []
         self._first_row = np.searchsorted(segments.rows[0], np.arange(len(segments)))
         size = 1 + self._model.nq + self._model.nv + self._model.na
         chained = len(segments.levels) > 1
@@ -241,23 +257,32 @@ class _Task:
     def start_states(self, draw: Ints, own: Ints) -> Array:
         """Physics states (W, 1 + nq + nv + na) at the starts of segments, or where others ended."""
         segments = self.segments
+        before = segments.previous[own]
+        goes_on = self._ends is not None and before[0] >= 0
+        if self._offsets is None and not goes_on:
+            return self._measured[own]
         starts = segments.starts[own]
         if self._offsets is not None:
             starts = self._layout.move(starts, self._offsets[draw, own])
-        before = segments.previous[own]
-        if self._ends is None or before[0] < 0:
+        if self._ends is None or not goes_on:
             return self._layout.full_states(starts, self._model)
         states = self._ends[draw, before]
         states[:, 0] = 0.0
         self._layout.write_start(states, starts, segments.set_columns, self._model)
         return states
 
-    def keep(self, draw: Ints, own: Ints, seen: Array, last: Array) -> None:
-        """Write the observations (W, L or 1, P) and last states of W worlds where they belong."""
+    def keep(self, draws: slice, own: Ints, states: Array, sensors: Array | None) -> None:
+        """Write the states (W, L or 1, s) and sensor data of W worlds where they belong."""
+        seen = self._layout.observe(states, sensors, self._model)
         rows = self._first_row[own, None] + np.arange(seen.shape[1])
-        self.out[draw[:, None], rows] = self._layout.coordinates(seen, self._targets[rows])
+        values = draws.stop - draws.start
+        shape = (len(own), values, *seen.shape[1:])
+        measured = self._targets[rows][:, None]
+        found = self._layout.coordinates(seen.reshape(shape), measured)
+        by_value = found.swapaxes(0, 1).reshape(values, rows.size, -1)
+        self.out[draws, rows.ravel()] = by_value
         if self._ends is not None:
-            self._ends[draw, own] = last
+            self._ends[draws, own] = states[:, -1].reshape(len(own), values, -1).swapaxes(0, 1)
 
 
 def _numbers_of(model: mujoco.MjModel, name: str) -> Array:

@@ -1,6 +1,7 @@
 """Worlds of a model in MuJoCo Warp, which are made once and simulated again and again."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import mujoco
@@ -10,14 +11,29 @@ from dropo.core.services.errors import Incompatible
 from dropo.core.services.validation import Array
 from dropo.mjmodel.fields import OPTION
 from dropo.mjmodel.names import element_of_type
-from dropo.mjmodel.observation import Layout
 from dropo.simulators.mujoco.simulator import MAX_STATE
 
-ROOM = 6
+ROOM = 8
 """How often the room for contacts and constraints is doubled where a world needs more."""
 
 CARRIED = ("time", "qacc_warmstart", "overflow", "history")
 """What a step leaves behind for the next one, beside the state."""
+
+STATE = ("time", "qpos", "qvel", "act")
+"""Warp's fields of a physics state, in its order."""
+
+
+@dataclass
+class Room:
+    """What is held for a world at most; what is held and not needed costs time."""
+
+    contacts: int = 8
+    rows: int = 32
+
+    def double(self) -> None:
+        """Hold twice as much."""
+        self.contacts *= 2
+        self.rows *= 2
 
 
 class Worlds:
@@ -35,6 +51,8 @@ class Worlds:
         Where Warp holds them.
     steps : int
         Physics steps of an action.
+    room : Room
+        For contacts and constraints; it grows where a world needs more.
 
     Raises
     ------
@@ -49,16 +67,23 @@ class Worlds:
         count: int,
         device: str,
         steps: int,
+        room: Room,
     ):
+        import warp as wp
+
+        self.room = room
+        self.key = (count, *((name, len(array)) for name, array in fields.items()))
         self._model = model
         self._count = count
         self._device = device
+        self._on_gpu = wp.get_device(device).is_cuda
         self._steps = steps
         rows = {name: len(array) for name, array in fields.items()}
         held = {name: size for name, size in rows.items() if not name.startswith(OPTION)}
         self._held = put_model(model, device, held)
         self._arrays = self._own_arrays(fields)
-        self._make_room({})
+        self._copies: dict[str, Any] = {}
+        self._make_room()
 
     def _own_arrays(self, fields: Mapping[str, Array]) -> dict[str, Any]:
         """Arrays of rows of their own, by field, in the place of those that Warp made."""
@@ -73,17 +98,20 @@ class Worlds:
             setattr(owner, field, arrays[name])
         return arrays
 
-    def _make_room(self, room: dict[str, int]) -> None:
-        """Make the worlds' data, with room for so many contacts and constraints, and the graph."""
+    def _make_room(self) -> None:
+        """Make the worlds' data, with room for contacts and constraints, and the graph."""
         import mujoco_warp
         import warp as wp
 
         self._graph = None
+        contacts, rows = self._held_room = (self.room.contacts, self.room.rows)
         with wp.ScopedDevice(self._device):
-            self._data = mujoco_warp.make_data(self._model, nworld=self._count, **room)
+            self._data = mujoco_warp.make_data(
+                self._model, nworld=self._count, nconmax=contacts, njmax=rows
+            )
             carried = [getattr(self._data, name) for name in CARRIED if hasattr(self._data, name)]
             self._fresh = [(array, wp.clone(array)) for array in carried]
-            if not wp.get_device(self._device).is_cuda:
+            if not self._on_gpu:
                 return
             mujoco_warp.step(self._held, self._data)  # compiles what no capture can compile
             with wp.ScopedCapture() as capture:
@@ -91,15 +119,16 @@ class Worlds:
                     mujoco_warp.step(self._held, self._data)
             self._graph = capture.graph
 
-    def roll(
+    def begin(
         self,
         fields: Mapping[str, Array],
         states: Array,
         commands: Array,
-        layout: Layout,
+        *,
         every: bool,
-    ) -> tuple[Array, Array]:
-        """Simulate all worlds, with more room where one has more contacts than are held.
+        sensors: bool,
+    ) -> None:
+        """Begin to simulate all worlds; a GPU goes on with it while the caller does other things.
 
         Parameters
         ----------
@@ -109,17 +138,71 @@ class Worlds:
             Physics states.
         commands : (W, L, nu) array
             Commands of L actions.
-        layout : Layout
-            What is observed.
         every : bool
-            Whether after every action, or after the last alone.
+            Whether what follows every action is kept, or what follows the last alone.
+        sensors : bool
+            Whether sensor data are kept.
+        """
+        for name, array in fields.items():
+            self._arrays[name].assign(array.astype(np.float32))
+        self._asked = (states, commands, every, sensors)
+        self._launch()
+
+    def _launch(self) -> None:
+        """Put all that is asked for into the device's queue."""
+        import mujoco_warp
+        import warp as wp
+
+        states, commands, every, sensors = self._asked
+        model = self._model
+        data = self._data
+        actions = commands.shape[1]
+        with wp.ScopedDevice(self._device):
+            for array, fresh in self._fresh:
+                wp.copy(array, fresh)
+            place = 1
+            for field, size in (("qpos", model.nq), ("qvel", model.nv), ("act", model.na)):
+                if size:
+                    own = np.ascontiguousarray(states[:, place : place + size], dtype=np.float32)
+                    getattr(data, field).assign(own)
+                place += size
+            by_action = np.ascontiguousarray(commands.transpose(1, 0, 2), dtype=np.float32)
+            self._commands: Any = wp.array(by_action, dtype=float)
+            names = [*STATE, "overflow", *(["sensordata"] if sensors else [])]
+            self._prepare_copies(names, actions if every else 1)
+            for action in range(actions):
+                if model.nu:
+                    wp.copy(data.ctrl, self._commands[action])
+                self._act()
+                if every or action == actions - 1:
+                    if sensors:
+                        mujoco_warp.forward(self._held, data)
+                    for name, copies in self._copies.items():
+                        wp.copy(copies[action if every else 0], getattr(data, name))
+            if self._on_gpu:
+                self._done = wp.record_event()
+
+    def _prepare_copies(self, names: list[str], count: int) -> None:
+        """Make arrays on the host (count, W, ...) for what is kept of the worlds' data."""
+        import warp as wp
+
+        fields = {name: getattr(self._data, name) for name in names}
+        shapes = {name: (count, *array.shape) for name, array in fields.items() if array.size}
+        if shapes != {name: copies.shape for name, copies in self._copies.items()}:
+            self._copies = {
+                name: wp.empty(shape, dtype=fields[name].dtype, device="cpu", pinned=self._on_gpu)
+                for name, shape in shapes.items()
+            }
+
+    def end(self) -> tuple[Array, Array | None]:
+        """Wait for what has begun, with more room where a world had more contacts than were held.
 
         Returns
         -------
-        seen : (W, L or 1, P) array
-            Observations; NaN where a world diverged.
-        last : (W, 1 + nq + nv + na) array
-            Physics states at the end.
+        states : (W, L or 1, 1 + nq + nv + na) array
+            Physics states; NaN where a world diverged.
+        sensors : (W, L or 1, nsensordata) array or None
+            Sensor data, where they were asked for.
 
         Raises
         ------
@@ -127,65 +210,40 @@ class Worlds:
             If there is no room for all constraints.
         """
         import mujoco_warp
+        import warp as wp
 
         kinds = mujoco_warp.OverflowType
         full = kinds.NEFC | kinds.NJMAX_NNZ | kinds.BROADPHASE | kinds.NARROWPHASE
-        for name, array in fields.items():
-            self._arrays[name].assign(array.astype(np.float32))
         for _ in range(ROOM):
-            found = self._trace(states, commands, layout, every)
-            data = self._data
-            if not np.bitwise_or.reduce(data.overflow.numpy()) & full:
-                return found
-            self._make_room({"naconmax": 2 * data.naconmax, "njmax": 2 * data.njmax})
-        raise Incompatible(f"Warp has no room for more than {data.njmax} constraints in a world.")
-
-    def _trace(
-        self, states: Array, commands: Array, layout: Layout, every: bool
-    ) -> tuple[Array, Array]:
-        """Step worlds from states through their commands; as `roll`, whatever overflows."""
-        import mujoco_warp
-        import warp as wp
-
-        model = self._model
-        data = self._data
-        for array, fresh in self._fresh:
-            wp.copy(array, fresh)
-        place = 1
-        for field, size in (("qpos", model.nq), ("qvel", model.nv), ("act", model.na)):
-            if size:
-                getattr(data, field).assign(states[:, place : place + size].astype(np.float32))
-            place += size
-        observed = []
-        for step in range(commands.shape[1]):
-            if model.nu:
-                data.ctrl.assign(commands[:, step].astype(np.float32))
-            self._act()
-            if not every and step < commands.shape[1] - 1:
-                continue
-            parts = [data.time.numpy()[:, None], data.qpos.numpy(), data.qvel.numpy()]
-            parts.append(data.act.numpy().reshape(len(states), model.na))
-            now = np.concatenate(parts, axis=1).astype(float)
-            now[~(np.abs(now) < MAX_STATE).all(axis=1)] = np.nan
-            sensors = None
-            if layout.needs_sensors:
-                with wp.ScopedDevice(self._device):
-                    mujoco_warp.forward(self._held, data)
-                sensors = data.sensordata.numpy().astype(float)
-            observed.append(layout.observe(now, sensors, model))
-        return np.stack(observed, axis=1), now
+            if self._on_gpu:
+                wp.synchronize_event(self._done)
+            found = {name: copies.numpy() for name, copies in self._copies.items()}
+            if not np.bitwise_or.reduce(found.pop("overflow"), axis=None) & full:
+                break
+            if self._held_room == (self.room.contacts, self.room.rows):
+                self.room.double()
+            self._make_room()
+            self._launch()
+        else:
+            rows = self.room.rows
+            raise Incompatible(f"Warp has no room for more than {rows} constraints in a world.")
+        found["time"] = found["time"][..., None]
+        parts = [found[name] for name in STATE if name in found]
+        states = np.concatenate(parts, axis=-1).swapaxes(0, 1).astype(float)
+        states[~(np.abs(states) < MAX_STATE).all(axis=-1)] = np.nan
+        sensors = found.get("sensordata")
+        return states, None if sensors is None else sensors.swapaxes(0, 1).astype(float)
 
     def _act(self) -> None:
         """Make the steps of an action, on a GPU with one launch."""
         import mujoco_warp
         import warp as wp
 
-        with wp.ScopedDevice(self._device):
-            if self._graph is not None:
-                wp.capture_launch(self._graph)
-                return
-            for _ in range(self._steps):
-                mujoco_warp.step(self._held, self._data)
+        if self._graph is not None:
+            wp.capture_launch(self._graph)
+            return
+        for _ in range(self._steps):
+            mujoco_warp.step(self._held, self._data)
 
 
 def put_model(model: mujoco.MjModel, device: str, rows: dict[str, int]) -> Any:
