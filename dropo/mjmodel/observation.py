@@ -190,6 +190,9 @@ class Layout:
         (..., P) array
         """
         first = _first_places(model)
+        if all(column.field != "sensordata" for column in self.columns):
+            places = [first[column.field] + column.place for column in self.columns]
+            return np.take(states, places, axis=-1)
         out = np.empty((*states.shape[:-1], len(self)))
         for i, column in enumerate(self.columns):
             if column.field == "sensordata":
@@ -306,6 +309,8 @@ class Layout:
         (..., p) array
         """
         plain, rotations = self._signal_places()
+        if not rotations:
+            return np.take(rows, self._plain, axis=-1)
         out = np.empty((*rows.shape[:-1], len(self.signals)))
         out[..., plain] = rows[..., self._plain]
         for columns, places in zip(self.quaternions, rotations, strict=True):

@@ -83,6 +83,9 @@ class Worlds:
         self._held = put_model(model, device, held)
         self._arrays = self._own_arrays(fields)
         self._copies: dict[str, Any] = {}
+        self._staged: dict[str, Any] = {
+            name: self._on_host(array.shape, array.dtype) for name, array in self._arrays.items()
+        }
         self._make_room()
 
     def _own_arrays(self, fields: Mapping[str, Array]) -> dict[str, Any]:
@@ -109,6 +112,9 @@ class Worlds:
             self._data = mujoco_warp.make_data(
                 self._model, nworld=self._count, nconmax=contacts, njmax=rows
             )
+            for name in STATE[1:]:
+                own = getattr(self._data, name)
+                self._staged[name] = self._on_host(own.shape, own.dtype)
             carried = [getattr(self._data, name) for name in CARRIED if hasattr(self._data, name)]
             self._fresh = [(array, wp.clone(array)) for array in carried]
             if not self._on_gpu:
@@ -144,7 +150,7 @@ class Worlds:
             Whether sensor data are kept.
         """
         for name, array in fields.items():
-            self._arrays[name].assign(array.astype(np.float32))
+            self._staged[name].numpy()[:] = array
         self._asked = (states, commands, every, sensors)
         self._launch()
 
@@ -160,19 +166,20 @@ class Worlds:
         with wp.ScopedDevice(self._device):
             for array, fresh in self._fresh:
                 wp.copy(array, fresh)
+            for name, array in self._arrays.items():
+                wp.copy(array, self._staged[name])
             place = 1
             for field, size in (("qpos", model.nq), ("qvel", model.nv), ("act", model.na)):
                 if size:
-                    own = np.ascontiguousarray(states[:, place : place + size], dtype=np.float32)
-                    getattr(data, field).assign(own)
+                    self._staged[field].numpy()[:] = states[:, place : place + size]
+                    wp.copy(getattr(data, field), self._staged[field])
                 place += size
-            by_action = np.ascontiguousarray(commands.transpose(1, 0, 2), dtype=np.float32)
-            self._commands: Any = wp.array(by_action, dtype=float)
+            by_action = self._stage_commands(commands)
             names = [*STATE, "overflow", *(["sensordata"] if sensors else [])]
             self._prepare_copies(names, actions if every else 1)
             for action in range(actions):
                 if model.nu:
-                    wp.copy(data.ctrl, self._commands[action])
+                    wp.copy(data.ctrl, by_action[action])
                 self._act()
                 if every or action == actions - 1:
                     if sensors:
@@ -182,16 +189,29 @@ class Worlds:
             if self._on_gpu:
                 self._done = wp.record_event()
 
-    def _prepare_copies(self, names: list[str], count: int) -> None:
-        """Make arrays on the host (count, W, ...) for what is kept of the worlds' data."""
+    def _stage_commands(self, commands: Array) -> Any:
+        """The commands on the host, (L, W, nu)."""
+        shape = (commands.shape[1], commands.shape[0], commands.shape[2])
+        staged = self._staged.get("commands")
+        if staged is None or staged.shape != shape:
+            staged = self._staged["commands"] = self._on_host(shape, float)
+        if staged.size:
+            staged.numpy()[:] = commands.swapaxes(0, 1)
+        return staged
+
+    def _on_host(self, shape: tuple[int, ...], kind: Any) -> Any:
+        """An array on the host, from and to which a GPU copies while the caller goes on."""
         import warp as wp
 
+        return wp.empty(shape, dtype=kind, device="cpu", pinned=self._on_gpu)
+
+    def _prepare_copies(self, names: list[str], count: int) -> None:
+        """Make arrays on the host (count, W, ...) for what is kept of the worlds' data."""
         fields = {name: getattr(self._data, name) for name in names}
         shapes = {name: (count, *array.shape) for name, array in fields.items() if array.size}
         if shapes != {name: copies.shape for name, copies in self._copies.items()}:
             self._copies = {
-                name: wp.empty(shape, dtype=fields[name].dtype, device="cpu", pinned=self._on_gpu)
-                for name, shape in shapes.items()
+                name: self._on_host(shape, fields[name].dtype) for name, shape in shapes.items()
             }
 
     def end(self) -> tuple[Array, Array | None]:
@@ -229,10 +249,11 @@ class Worlds:
             raise Incompatible(f"Warp has no room for more than {rows} constraints in a world.")
         found["time"] = found["time"][..., None]
         parts = [found[name] for name in STATE if name in found]
-        states = np.concatenate(parts, axis=-1).swapaxes(0, 1).astype(float)
-        states[~(np.abs(states) < MAX_STATE).all(axis=-1)] = np.nan
+        states = np.concatenate(parts, axis=-1).swapaxes(0, 1)
+        if not np.abs(states).max() < MAX_STATE:
+            states[~(np.abs(states) < MAX_STATE).all(axis=-1)] = np.nan
         sensors = found.get("sensordata")
-        return states, None if sensors is None else sensors.swapaxes(0, 1).astype(float)
+        return states, None if sensors is None else sensors.swapaxes(0, 1)
 
     def _act(self) -> None:
         """Make the steps of an action, on a GPU with one launch."""
