@@ -45,7 +45,7 @@ class Block:
 
 
 BLOCKS = {
-    "gpu": Block(("gpu.py",), 1),
+    "gpu": Block(("gpu.py", "rates", "published"), 8),
     "shares": Block(("shares.py",), 1),
     "meshes": Block(("meshes.py",), 2),
     "objective": Block(("objective.py",), 2),

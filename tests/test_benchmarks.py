@@ -373,3 +373,33 @@ def test_what_a_log_says_grows_with_what_is_missing(monkeypatch):
         nats += worth.worth(design, machine, short, [("payload", "link1")]).values()
     assert nats[0] < 1e-6 * nats[2]
     assert nats[1] == pytest.approx(nats[2] / 4, rel=0.2)
+
+
+def test_what_a_gpu_measured_is_kept(monkeypatch, tmp_path):
+    """Row by row with device and date, in the table and for the goals; the rest is not measured."""
+    monkeypatch.setattr(gpu, "KEPT", tmp_path / "gpu.json")
+    monkeypatch.setattr(gpu, "device", lambda: "a GPU")
+    masses = [3.53, 3.93, 2.71, 5.09]
+    row = {"evaluations": 5000, "steps": 2_000_000_000, "seconds": 400.0, "mean": masses}
+    gpu.keep("published", "noisy", row | {"drawn": masses})
+    gpu.keep("rates", "hopper-noisy | 1,000", [1e5, 1e6])
+    said = gpu.table()
+    assert said.startswith("a GPU, 20")
+    assert "| hopper-noisy | 1,000 | 100,000 | 1,000,000 |" in said
+    assert "| hopper-noisy | 10,000 | not measured | not measured |" in said
+    assert "| noisy | 5,000 | 2e+09 | 400 | 5,000,000 | 3.530, 3.930, 2.710, 5.090 |" in said
+    assert readme.numbers_in(said) == {"published": {"noisy": 400.0}}
+
+
+def test_without_a_gpu_nothing_is_measured(monkeypatch, tmp_path, capsys):
+    """It says so, and prints the table of what is kept."""
+    monkeypatch.setattr(gpu, "KEPT", tmp_path / "gpu.json")
+    monkeypatch.setattr(gpu, "device", lambda: None)
+    monkeypatch.setattr(gpu, "write_block", lambda name, text: text)
+    monkeypatch.setattr(sys, "argv", ["gpu.py", "rates", "published"])
+    gpu.main()
+    said = capsys.readouterr()
+    assert "finds no GPU" in said.err
+    assert "No GPU was at hand." in said.out
+    assert "| noisy | not measured |" in said.out
+    assert not gpu.KEPT.exists()

@@ -61,7 +61,7 @@ class WarpSimulator(Simulator):
     takes_over = True
     minimum_step = float(np.finfo(np.float32).eps ** (1 / 3))
 
-    def __init__(self, cpu: Simulator, *, device: str | None = None, worlds: int = 8192):
+    def __init__(self, cpu: Simulator, *, device: str | None = None, worlds: int = 32_768):
         if not isinstance(cpu, MujocoSimulator):
             kind = type(cpu).__name__
             raise Incompatible(f"Warp simulates MuJoCo models, and {kind} has none.")
