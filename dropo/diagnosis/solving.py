@@ -133,13 +133,45 @@ def _stepped(setup: SearchSetup, arithmetic: Arithmetic, gain: float) -> SearchS
     library = Library(exact, library.instances, library.declared, library.differences)
     selection = replace(_anew(setup, "exact physics steps"), library=library)
     problem = replace(setup.problem, simulator=arithmetic.of(simulator))
-    return replace(setup, problem=problem, library=library, selection=selection, won=gain)
+    return replace(
+        setup,
+        problem=problem,
+        library=library,
+        selection=selection,
+        won=gain,
+        own_steps=setup.own_steps or setup,
+    )
+
+
+def _is_worse(setup: SearchSetup, own: SearchSetup, last: State) -> bool:
+    """Whether what was found explains less than with the same effects in the model's own steps."""
+    simulator = own.library.simulator
+    before = simulator.steps
+    worse = _alternatives(own, last).is_worse(last)
+    setup.library.simulator.steps += simulator.steps - before
+    return worse
+
+
+def _in_own_steps(setup: SearchSetup, own: SearchSetup) -> SearchSetup:
+    """A setup whose simulations have the model's own steps again, and keep them."""
+    own.library.simulator.steps = setup.library.simulator.steps
+    selection = _anew(own, "the model's own physics steps")
+    return replace(own, selection=selection, noise=setup.noise, decided=True)
+
+
+def _alternatives(setup: SearchSetup, first: State) -> ArithmeticAlternatives:
+    """More exact steps than a setup has."""
+    selection = setup.selection
+    return ArithmeticAlternatives(
+        setup.library, selection.floor, selection.settings, selection.log, first, setup.won
+    )
 
 
 def search_effects(setup: SearchSetup) -> tuple[SearchSetup, SearchedEffects]:
     """Look for effects; where that is interrupted, return what was accepted so far.
 
-    Where more exact physics steps are the better explanation, all is done anew with them.
+    Where more exact physics steps are the better explanation, all is done anew with them; and once
+    more in the model's own where these explain what was found better.
 
     Parameters
     ----------
@@ -156,23 +188,34 @@ def search_effects(setup: SearchSetup) -> tuple[SearchSetup, SearchedEffects]:
         return setup, SearchedEffects(*setup.evaluated(), explained.interrupted)
     first = setup.first()
     selection = setup.selection
-    settings = selection.settings
-    alternatives = ArithmeticAlternatives(
-        setup.library, selection.floor, settings, selection.log, first, setup.won
-    )
+    alternatives = None if setup.decided else _alternatives(setup, first)
     try:
         begun = begin_with(selection, first, setup.instances, setup.known)
         selection.latest = begun
-        if begun is first or not alternatives(first, begun):
+        if not _has_winner(setup, alternatives, first, begun):
             last, reviews = explain(setup, first, begun, alternatives)
-        if alternatives.winner is None:
-            return setup, SearchedEffects(first, last, reviews)
-        return search_effects(_stepped(setup, alternatives.winner, alternatives.gain))
+        if alternatives is not None and alternatives.winner is not None:
+            return search_effects(_stepped(setup, alternatives.winner, alternatives.gain))
+        own = setup.own_steps
+        if own is not None and _is_worse(setup, own, last):
+            return search_effects(_in_own_steps(setup, own))
+        return setup, SearchedEffects(first, last, reviews)
     except KeyboardInterrupt:
         selection.progress(0.9, STOPPING)
         last = selection.latest or first
         reviews = reviews_so_far(selection, last)
         return setup, SearchedEffects(first, last, reviews, interrupted=True)
+
+
+def _has_winner(
+    setup: SearchSetup, alternatives: ArithmeticAlternatives | None, first: State, begun: State
+) -> bool:
+    """Whether more exact steps are better from the beginning, or in the place of what is known."""
+    if alternatives is None:
+        return False
+    if setup.own_steps is None and alternatives.is_preferred(begun):
+        return True
+    return begun is not first and alternatives(first, begun)
 
 
 def explain(

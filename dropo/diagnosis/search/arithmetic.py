@@ -1,9 +1,10 @@
 """Other physics steps and integrators as alternatives to the causes, on equal terms.
 
-A model's own steps act like delays, inertia and damping. Before an effect is accepted, the model
-without it is therefore fitted with steps that are more exact, too: an alternative that costs no
-number. It is tried as an effect is, with the linearization in the start's noise as it is, and only
-fitted to the end where windows held out confirm that.
+A model's own steps act like delays, inertia and damping. A search therefore begins with more exact
+ones where these explain the data better; and before an effect is accepted, the model without it is
+fitted with steps that are more exact, too: an alternative that costs no number. It is tried as an
+effect is, with the linearization in the start's noise as it is, and only fitted to the end where
+windows held out confirm that.
 """
 
 from collections.abc import Callable
@@ -14,7 +15,12 @@ import numpy as np
 from dropo.core.contracts.effect import EffectInstance
 from dropo.core.services.files.evaluation_log import EvaluationLog
 from dropo.core.services.validation import Array
-from dropo.diagnosis.search.confirmation import SelectionSettings, has_less_noise, is_confirmed
+from dropo.diagnosis.search.confirmation import (
+    SelectionSettings,
+    gain_of,
+    has_less_noise,
+    is_confirmed,
+)
 from dropo.diagnosis.search.linearization import (
     Library,
     LinearizedWindows,
@@ -212,6 +218,60 @@ class ArithmeticAlternatives:
         self.gain = penalized_log_likelihood(alternative) - before
         self.winner = self._refined(simulator, arithmetic, alternative, needed)
         return True
+
+    def is_preferred(self, state: State) -> bool:
+        """Decide whether a search is to begin with more exact steps.
+
+        A machine has no physics steps: the model's own are kept where data do not tell them from
+        more exact ones, or speak for them.
+
+        Parameters
+        ----------
+        state : State
+            The model that a search begins with.
+
+        Returns
+        -------
+        bool
+            Whether an alternative gains what is needed on all windows, and anything on those held
+            out; it is `winner` then.
+        """
+        simulator = self.library.simulator
+        if not isinstance(simulator, RobotSimulator) or simulator.control_step is None:
+            return False
+        needed = self.selection.needed_gain(len(alternatives_of(simulator, self.settings)))
+        arithmetic, promise = self._most_promising(simulator, state)
+        if not promise > self.selection.alternative_fraction * needed:
+            return False
+        alternative = self._fitted(simulator, arithmetic, state)
+        gain = penalized_log_likelihood(alternative) - penalized_log_likelihood(state)
+        held_out, _ = gain_of(state.test, alternative.test)
+        if not (gain > needed and held_out > 0):
+            return False
+        self.gain = gain
+        self.winner = self._refined(simulator, arithmetic, alternative, needed)
+        return True
+
+    def is_worse(self, state: State) -> bool:
+        """Decide whether a model that was found in more exact steps explains less in them.
+
+        Parameters
+        ----------
+        state : State
+            The model, in more exact steps than the library's.
+
+        Returns
+        -------
+        bool
+            Whether the same effects, fitted anew in the library's own steps, gain what is needed
+            on all windows, and anything on those held out.
+        """
+        simulator = self.library.simulator
+        assert isinstance(simulator, RobotSimulator)
+        own = self._fitted(simulator, Arithmetic(1), state)
+        gain = penalized_log_likelihood(own) - penalized_log_likelihood(state)
+        held_out, _ = gain_of(state.test, own.test)
+        return bool(gain > self.selection.needed_gain(1) and held_out > 0)
 
     def _most_promising(self, simulator: RobotSimulator, state: State) -> tuple[Arithmetic, float]:
         """The cheapest alternative that gains nearly as much as any on the windows to fit, and its

@@ -118,8 +118,8 @@ def _other_steps(came: mujoco.MjModel, used: mujoco.MjModel) -> list[str]:
     typed = f'timestep="{after:.3g}"' + ("" if other == own else f' integrator="{other}"')
     return [
         f"The model's physics steps of {1e3 * before:.3g} ms by {own} act like delays, inertia and"
-        f" damping here: steps of {1e3 * after:.3g} ms{by} explain the data better than any cause"
-        f" in their place, and all was evaluated with these. Type {typed} in the model's option"
+        f" damping here: steps of {1e3 * after:.3g} ms{by} explain the data better, and all"
+        f" was evaluated with these. Type {typed} in the model's option"
         f"{f', and {times} times the frame_skip' if times > 1 else ''}."
     ]
 
