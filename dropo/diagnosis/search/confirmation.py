@@ -54,6 +54,9 @@ class SelectionSettings:
         Cosine of two whitened responses from which two effects do the same to the data.
     plausibility : Plausibility
         How usual each effect is: what decides between those that do the same to the data.
+    more_usual : float
+        Log odds from which an alternative is named in an effect's place unless windows held out
+        confirm that the effect is better.
     negligible_gain : float
         Difference of two models' log-likelihoods below which neither is better [nats].
     first_noise_stride : int
@@ -94,6 +97,7 @@ class SelectionSettings:
     maximum_polished: int = 3
     similarity: float = 0.98
     plausibility: Plausibility = field(default_factory=Plausibility)
+    more_usual: float = 1.0
     negligible_gain: float = 4.0
     first_noise_stride: int = 3
     maximum_diverging: float = 0.3

@@ -66,7 +66,7 @@ def review(selection: Selection, state: State) -> tuple[State, dict[str, Review]
     reviews = {}
     for instance in state.accepted:
         reviewed = _review_effect(selection, state, instance)
-        better = _better_model(selection, state, reviewed)
+        better = _better_model(selection, state, instance, reviewed)
         if better is not None:
             # The other effects stand beside a different model now: review all of them anew.
             return review(selection, better)
@@ -140,7 +140,9 @@ def _alternatives_to_try(
     return others[: settings.maximum_alternatives]
 
 
-def _better_model(selection: Selection, state: State, reviewed: Review) -> State | None:
+def _better_model(
+    selection: Selection, state: State, instance: EffectInstance, reviewed: Review
+) -> State | None:
     """The model without the effect, or with an alternative in its place; None if neither is better.
 
     A single effect stays.
@@ -150,12 +152,17 @@ def _better_model(selection: Selection, state: State, reviewed: Review) -> State
     held_out_gain, _ = gain_of(reviewed.without.test, state.test)
     if held_out_gain < selection.settings.negligible_gain:
         return reviewed.without
-    return _better_alternative(selection, state, reviewed)
+    return _better_alternative(selection, state, instance, reviewed)
 
 
-def _better_alternative(selection: Selection, state: State, reviewed: Review) -> State | None:
-    """The model with the first alternative that is better than the effect; None if none is."""
+def _better_alternative(
+    selection: Selection, state: State, instance: EffectInstance, reviewed: Review
+) -> State | None:
+    """The model with the first alternative that is better than the effect, or more usual where
+    windows held out do not say that it is worse; None if none is.
+    """
     settings = selection.settings
+    odds = settings.plausibility
     if reviewed.origin is None:
         return None
     with_effect = penalized_log_likelihood(state)
@@ -166,12 +173,16 @@ def _better_alternative(selection: Selection, state: State, reviewed: Review) ->
         alternative_gain = penalized_log_likelihood(trial.state) - without
         if not alternative_gain > settings.polished_fraction * effect_gain:
             continue
-        # Fitted to the end, it must gain more, and windows held out must confirm that.
         polished = selection.polish(trial.state)
-        if not penalized_log_likelihood(polished) > with_effect + settings.negligible_gain:
-            continue
-        if is_confirmed(state.test, polished.test, settings.negligible_gain, settings):
-            selection.origins[trial.candidate.instance.label] = reviewed.origin
+        gain = penalized_log_likelihood(polished) - with_effect
+        alternative = trial.candidate.instance
+        if odds.of(alternative.effect) - odds.of(instance.effect) >= settings.more_usual:
+            better = not is_confirmed(polished.test, state.test, settings.negligible_gain, settings)
+        else:
+            better = gain > settings.negligible_gain
+            better &= is_confirmed(state.test, polished.test, settings.negligible_gain, settings)
+        if better:
+            selection.origins[alternative.label] = reviewed.origin
             return polished
     return None
 
