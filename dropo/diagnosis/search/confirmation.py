@@ -55,8 +55,10 @@ class SelectionSettings:
     plausibility : Plausibility
         How usual each effect is: what decides between those that do the same to the data.
     more_usual : float
-        Log odds from which an alternative is named in an effect's place unless windows held out
-        confirm that the effect is better.
+        Difference of log odds from which one effect is more usual than another.
+    usual_margin : float
+        Nats by which a less usual effect must be better than a more usual one, to be named in its
+        place: what misfit of other kinds makes of two that do nearly the same.
     negligible_gain : float
         Difference of two models' log-likelihoods below which neither is better [nats].
     first_noise_stride : int
@@ -98,6 +100,7 @@ class SelectionSettings:
     similarity: float = 0.98
     plausibility: Plausibility = field(default_factory=Plausibility)
     more_usual: float = 1.0
+    usual_margin: float = 30.0
     negligible_gain: float = 4.0
     first_noise_stride: int = 3
     maximum_diverging: float = 0.3

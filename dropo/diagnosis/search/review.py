@@ -174,17 +174,27 @@ def _better_alternative(
         if not alternative_gain > settings.polished_fraction * effect_gain:
             continue
         polished = selection.polish(trial.state)
-        gain = penalized_log_likelihood(polished) - with_effect
         alternative = trial.candidate.instance
-        if odds.of(alternative.effect) - odds.of(instance.effect) >= settings.more_usual:
-            better = not is_confirmed(polished.test, state.test, settings.negligible_gain, settings)
+        more_usual = odds.of(alternative.effect) - odds.of(instance.effect)
+        margin = settings.negligible_gain
+        if abs(more_usual) >= settings.more_usual:
+            margin = settings.usual_margin
+        if more_usual >= settings.more_usual:
+            better = not _is_better(polished, state, margin, settings)
         else:
-            better = gain > settings.negligible_gain
-            better &= is_confirmed(state.test, polished.test, settings.negligible_gain, settings)
+            better = _is_better(state, polished, margin, settings)
         if better:
             selection.origins[alternative.label] = reviewed.origin
             return polished
     return None
+
+
+def _is_better(before: State, after: State, margin: float, settings: SelectionSettings) -> bool:
+    """Whether a model is the better one by a margin, which windows held out confirm."""
+    gain = penalized_log_likelihood(after) - penalized_log_likelihood(before)
+    return gain > margin and is_confirmed(
+        before.test, after.test, settings.negligible_gain, settings
+    )
 
 
 def without_effects(
