@@ -10,10 +10,11 @@ import pytest
 from dropo.diagnosis import solving
 from dropo.diagnosis.diagnose import Diagnose
 from dropo.diagnosis.findings.accuracy.every_horizon import EveryHorizonSettings
-from dropo.diagnosis.search.arithmetic import ArithmeticAlternatives
+from dropo.diagnosis.search.arithmetic import Arithmetic, ArithmeticAlternatives
 from dropo.diagnosis.search.whitening import WhitenessSettings
 from dropo.diagnosis.settings import DiagnosisSettings
 from dropo.diagnosis.setup import SearchedEffects, SearchSetup
+from dropo.mjmodel.options import integrator
 from dropo.problems.file.estimated_velocities import with_velocities
 from dropo.studies.first_models.machines import (
     STEP,
@@ -24,6 +25,7 @@ from dropo.studies.first_models.machines import (
     measured,
     problem_of,
 )
+from tests.models.hidden_in_arm import problem
 
 DESIGN = Design(("hinge y",), (0.3,), (0.6,), (30.0,), loaded=False, rate=0.02)
 NUMBERS = np.array([[0.01], [0.2], [0.1]])
@@ -81,18 +83,60 @@ def servo():
     return with_velocities(problem_of("servo", spec, data))
 
 
+def refused(*given):
+    """No more exact steps."""
+    return False
+
+
 def test_long_physics_steps_are_no_cause(servo, monkeypatch):
-    """Nothing is missing but short steps, and that is said; left out, half a step is a delay for
-    the windows, and no cause all the same, since velocities after ten steps are worse with it.
+    """Nothing is missing but short steps, and that is said: from the beginning, or in the place of
+    a cause. Left out, half a step is a delay for the windows, and no cause all the same, since
+    velocities after ten steps are worse with it.
     """
     search = Diagnose(EFFECTS, length=10, windows=16, disturbances=False)
-    found = search.run(servo)
-    assert found.causes == ()
-    assert 'integrator="RK4"' in found.numerics[0]
-    monkeypatch.setattr(ArithmeticAlternatives, "__call__", lambda *given: False)
-    (refused,) = search.run(servo).leaders
-    assert (refused.effect, refused.steps) == ("actuator_delay", 10)
+    decisions = ["is_preferred", "__call__"]
+    for left_out in decisions:
+        with monkeypatch.context() as changed:
+            changed.setattr(ArithmeticAlternatives, left_out, refused)
+            found = search.run(servo)
+            assert found.causes == ()
+            assert 'integrator="RK4"' in found.numerics[0]
+    for decision in decisions:
+        monkeypatch.setattr(ArithmeticAlternatives, decision, refused)
+    (leader,) = search.run(servo).leaders
+    assert (leader.effect, leader.steps) == ("actuator_delay", 10)
     by_windows = DiagnosisSettings(horizons=EveryHorizonSettings(worse=np.inf))
     (cause,) = replace(search, settings=by_windows).run(servo).causes
     assert cause.effect == "actuator_delay"
     assert cause.estimate["delay"].value == pytest.approx(COARSE / 2, rel=0.3)
+
+
+@pytest.mark.parametrize("begun", ["own", "exact"])
+def test_data_of_the_models_own_steps_keep_them(monkeypatch, begun):
+    """Simulated in them, data speak for them from the beginning; and at the end, where the search
+    begins with more exact ones all the same. The cause is the same.
+    """
+
+    def exact(alternatives, state):
+        alternatives.winner = Arithmetic(1, "RK4" if own != "RK4" else "Euler")
+        return True
+
+    own = integrator(problem([], episodes=4, steps=60).simulator.model)
+    arm = problem([("actuator_gain:elbow_motor", [-0.1])], sigma=1e-5, episodes=8, steps=60)
+    if begun == "exact":
+        monkeypatch.setattr(ArithmeticAlternatives, "is_preferred", exact)
+    steps = []
+    search_effects = solving.search_effects
+
+    def searched(setup):
+        steps.append(setup.problem.simulator.model.opt.integrator)
+        return search_effects(setup)
+
+    monkeypatch.setattr(solving, "search_effects", searched)
+    found = Diagnose(("actuator_gain", "joint_damping"), length=10, windows=24).run(arm)
+    (cause,) = found.causes
+    assert (cause.effect, cause.target) == ("actuator_gain", "elbow_motor")
+    assert abs(cause.estimate["gain"].value + 0.1) < 4 * cause.estimate["gain"].se
+    assert not any("was evaluated with these" in sentence for sentence in found.numerics)
+    assert len(set(steps)) == (2 if begun == "exact" else 1)
+    assert steps[0] == steps[-1]

@@ -1,5 +1,7 @@
 """Screening, refitting and accepting effects, on a line of masses."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ from dropo.diagnosis.findings.causes import estimate, standard_errors
 from dropo.diagnosis.findings.remains.omnibus import omnibus
 from dropo.diagnosis.search.confirmation import gain_of, is_confirmed
 from dropo.diagnosis.search.invariance import invariance
+from dropo.diagnosis.search.plausibility import Plausibility
 from dropo.diagnosis.search.review import ambiguity, review
 from dropo.diagnosis.search.screening import Candidate, Screening, with_constant
 from dropo.diagnosis.search.trials import Batch
@@ -138,6 +141,29 @@ def test_review_exchanges_a_first_guess_that_another_beats():
     last, _ = review(search, wrong)
     assert {instance.effect for instance in last.accepted} == {"damping", "spring"}
     assert review(search, last)[0] is last
+
+
+@pytest.mark.parametrize("begun", ["damping", "drag"])
+@pytest.mark.parametrize(
+    ("odds", "sigma", "named"),
+    [
+        ({"drag": -2.0}, 0.03, "damping"),
+        ({"damping": -2.0}, 0.03, "drag"),
+        ({"damping": -0.5}, 0.03, "damping"),
+        ({"damping": -2.0}, 0.01, "damping"),
+    ],
+)
+def test_review_takes_the_more_usual_of_two_alike(odds, sigma, named, begun):
+    """Whichever was accepted first, as long as data tell them apart by few nats (13 here); where
+    the odds are nearly the same or data tell more (73), these decide.
+    """
+    search, first = selection(measured({"damping": 0.05, "spring": 0.3}, sigma=sigma))
+    usual = Plausibility(odds, others=0.0)
+    settings = replace(search.settings, plausibility=usual, polished_fraction=0.5)
+    search = replace(search, settings=settings)
+    start = added(search, added(search, first, begun), "spring")
+    last, _ = review(search, start)
+    assert {instance.effect for instance in last.accepted} == {named, "spring"}
 
 
 def test_alike_effects_are_said_to_be():
