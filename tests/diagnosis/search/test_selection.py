@@ -161,7 +161,7 @@ def test_review_takes_the_more_usual_of_two_alike(odds, sigma, named, begun):
     usual = Plausibility(odds, others=0.0)
     settings = replace(search.settings, plausibility=usual, polished_fraction=0.5)
     search = replace(search, settings=settings)
-    start = added(search, added(search, first, begun), "spring")
+    start = added(search, added(search, first, "spring"), begun)
     last, _ = review(search, start)
     assert {instance.effect for instance in last.accepted} == {named, "spring"}
 
