@@ -107,13 +107,13 @@ def test_noise_is_learned():
     np.testing.assert_allclose(first.train.whiten.sigma, 1e-3, rtol=0.13)
 
 
-def added(search, state, effect):
-    """The state with one more effect, whether it is the best or not."""
+def added(search, state, effect, other="damping"):
+    """The state with one more effect, whether it is the best or not, with an alternative."""
     screened = search.screening(state.train, state.free, instances())
     chosen = [
         c
         for c in screened
-        if c.instance.effect in (effect, "damping") and c.instance not in state.accepted
+        if c.instance.effect in (effect, other) and c.instance not in state.accepted
     ]
     search.batches.append(origin := Batch(state, screened, search.try_candidates(state, chosen)))
     trial = next(t for t in origin.trials if t.candidate.instance.effect == effect)
@@ -161,7 +161,8 @@ def test_review_takes_the_more_usual_of_two_alike(odds, sigma, named, begun):
     usual = Plausibility(odds, others=0.0)
     settings = replace(search.settings, plausibility=usual, polished_fraction=0.5)
     search = replace(search, settings=settings)
-    start = added(search, added(search, first, "spring"), begun)
+    other = "drag" if begun == "damping" else "damping"
+    start = added(search, added(search, first, "spring"), begun, other)
     last, _ = review(search, start)
     assert {instance.effect for instance in last.accepted} == {named, "spring"}
 
