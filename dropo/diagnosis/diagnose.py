@@ -334,10 +334,11 @@ class Diagnose:
         start = regression.far_off
         if start is None:
             return self._by_search(task, None, progress)
-        if start.sure:
+        if start.at_once:
             explained, in_vain = self._explained(start, progress, task.log)
             return self._by_search(replace(task, spent=task.spent + in_vain), explained, progress)
-        # A model that may be far off may lack but little: a few causes that explain all go first.
+        # A model that may be far off, or lacks some numbers, may lack but little: a few causes that
+        # explain all go first.
         found = self._plain._run(task, progress)
         if found.interrupted or found.verdict in ("consistent", "explained"):
             return found
