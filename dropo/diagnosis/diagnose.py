@@ -334,13 +334,21 @@ class Diagnose:
         start = regression.far_off
         if start is None:
             return self._by_search(task, None, progress)
-        if start.at_once:
+        if start.sure:
             explained, in_vain = self._explained(start, progress, task.log)
-            return self._by_search(replace(task, spent=task.spent + in_vain), explained, progress)
-        # A model that may be far off, or lacks some numbers, may lack but little: a few causes that
-        # explain all go first.
+            motions = replace(task, spent=task.spent + in_vain)
+            found = self._by_search(motions, explained, progress)
+            if explained is None or not start.few or _is_an_end(found):
+                return found
+            causes = self._plain._run(replace(task, spent=found.simulator_steps), progress)
+            if causes.interrupted:
+                return replace(found, interrupted=True)
+            if causes.verdict == "explained":
+                return causes
+            return replace(found, simulator_steps=causes.simulator_steps)
+        # A model that may be far off may lack but little: a few causes that explain all go first.
         found = self._plain._run(task, progress)
-        if found.interrupted or found.verdict in ("consistent", "explained"):
+        if _is_an_end(found):
             return found
         explained, in_vain = self._explained(start, progress, task.log)
         spent = found.simulator_steps
@@ -734,3 +742,8 @@ def diagnose(
         If the simulation diverges in too many windows.
     """
     return Diagnose(effects).run(problem, rng=rng)
+
+
+def _is_an_end(found: Diagnosis) -> bool:
+    """Whether nothing is left that another kind of search might explain."""
+    return found.interrupted or found.verdict in ("consistent", "explained")

@@ -33,8 +33,8 @@ class FarOffLimits:
     numbers : int
         A model is far off for certain if by regression at least this many numbers are missing.
     many : int
-        From this many on whole motions are fitted at once. Where fewer are missing, a few causes
-        may explain all that regression took for more.
+        Where fewer than so many are, a few causes may explain what regression took for more: they
+        are looked for where whole motions leave something.
     gain : float
         A model is also far off for certain if the drives' gain is off by this fraction or more.
     forces : float
@@ -73,14 +73,14 @@ class FarOffStart:
         some, which then decide nothing.
     sure : bool
         Whether the model is far off for certain. If not, it is if motions are explained then.
-    at_once : bool
-        Whether whole motions are fitted before a few causes are looked for.
+    few : bool
+        Whether a few causes may explain what whole motions leave.
     """
 
     model: FarOffModel
     whole: Problem
     sure: bool
-    at_once: bool
+    few: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,8 +166,8 @@ def _far_off(
     if problem.held_out is not None:
         fitted, checked = sides(replace(problem, held_out=None), settings.checked)
         divided = replace(problem, trajectories=fitted, held_out=checked)
-    at_once = sure and (len(named) >= limits.many or abs(estimate.solution.gain) >= limits.gain)
-    return FarOffStart(FarOffModel(divided, values, free, tuple(numbers)), whole, sure, at_once)
+    few = len(named) < limits.many
+    return FarOffStart(FarOffModel(divided, values, free, tuple(numbers)), whole, sure, few)
 
 
 def _may_be(estimate: Missing, kinds: Sequence[str], limits: FarOffLimits) -> bool:
