@@ -1,7 +1,7 @@
 """Where a model lacks much a diagnosis begins with regression; simulation has the last word."""
 
 import json
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -11,6 +11,7 @@ from dropo.diagnosis.diagnose import Diagnose
 from dropo.diagnosis.far_off.model import FarOffModel
 from dropo.diagnosis.far_off.start import FarOffLimits, FarOffStart, RegressionStart, start_of
 from dropo.diagnosis.regression.quick import QuickSettings, sides
+from dropo.diagnosis.setup import DiagnosisTask
 from dropo.mjmodel.fields import FieldParameter
 from dropo.problems.file.estimated_velocities import with_velocities
 from dropo.problems.file.plain_model import write_extended
@@ -145,7 +146,50 @@ def test_a_regression_that_motions_contradict_is_corrected(monkeypatch):
     absurd = FarOffModel(divided, nominal, NONE, [(effect, size)])
     monkeypatch.setattr(
         "dropo.diagnosis.diagnose.start_of",
-        lambda *arguments: RegressionStart((), FarOffStart(absurd, absurd.problem, True)),
+        lambda *arguments: RegressionStart(
+            (), FarOffStart(absurd, absurd.problem, sure=True, few=False)
+        ),
     )
     found = Diagnose(length=5, windows=24, disturbances=False).run(problem)
     assert [(one.effect, one.target) for one in found.causes] == [("joint_armature", "elbow")]
+
+
+@dataclass(frozen=True)
+class Found:
+    """What `Diagnose` asks of a diagnosis."""
+
+    by: str
+    verdict: str
+    simulator_steps: int
+    interrupted: bool = False
+
+
+@pytest.mark.parametrize(
+    ("motions", "causes", "few", "stands"),
+    [
+        ("partly", "explained", True, "causes"),
+        ("partly", "explained", False, "motions"),
+        ("explained", "explained", True, "motions"),
+        ("partly", "partly", True, "motions"),
+    ],
+)
+def test_a_few_causes_may_explain_what_motions_leave(monkeypatch, motions, causes, few, stands):
+    """Of few numbers, and if they explain all; whatever stands, all simulator steps are counted."""
+    asked = []
+
+    def by_search(diagnose, task, explained, progress):
+        asked.append(explained)
+        spent = task.spent + 10
+        by = "causes" if explained is None else "motions"
+        return Found(by, causes if explained is None else motions, spent)
+
+    start = RegressionStart((), FarOffStart(None, None, sure=True, few=few))
+    monkeypatch.setattr("dropo.diagnosis.diagnose.start_of", lambda *arguments: start)
+    monkeypatch.setattr(Diagnose, "_explained", lambda *arguments: ("a model", 5))
+    monkeypatch.setattr(Diagnose, "_by_search", by_search)
+    robot = unknown_rotor()
+    task = DiagnosisTask(robot, robot, None, None)
+    found = Diagnose()._run(task, lambda *arguments: None)
+    assert found.by == stands
+    assert found.simulator_steps == (25 if len(asked) == 2 else 15)
+    assert len(asked) == (2 if few and motions == "partly" else 1)
