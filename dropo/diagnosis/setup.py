@@ -195,10 +195,8 @@ class SearchSetup:
         By their labels, effects that are no causes, with why, a sentence each.
     won : float
         What its steps gained over the model's own [nats]; 0 if they are those.
-    own_steps : SearchSetup or None
-        The same in the model's own steps, where it has others by now.
-    decided : bool
-        Whether the model's own steps are kept whatever others explain.
+    steps_chosen : bool
+        Whether it is decided in which steps the search begins.
     worse : mapping of str to Leader
         By their labels, effects with which errors after some horizon are larger.
     compared : bool
@@ -221,8 +219,7 @@ class SearchSetup:
     noise: WindowNoise | None = None
     refused: Mapping[str, str] = field(default_factory=dict)
     won: float = 0.0
-    own_steps: "SearchSetup | None" = None
-    decided: bool = False
+    steps_chosen: bool = False
     worse: Mapping[str, Leader] = field(default_factory=dict)
     compared: bool = False
     sought: bool = False

@@ -20,7 +20,7 @@ from dropo.diagnosis.search.refit import other_noise
 from dropo.diagnosis.search.review import Review, merge, review, reviews_so_far
 from dropo.diagnosis.search.selection import STOPPING, Selection
 from dropo.diagnosis.search.sets import SetSearch, SetSettings
-from dropo.diagnosis.search.trials import Batch, State
+from dropo.diagnosis.search.trials import Batch, State, penalized_log_likelihood
 from dropo.diagnosis.search.whitening import WhitenessSettings, WindowNoise, white
 from dropo.diagnosis.setup import SearchedEffects, SearchSetup
 from dropo.mjmodel.options import physics_step
@@ -139,39 +139,14 @@ def _stepped(setup: SearchSetup, arithmetic: Arithmetic, gain: float) -> SearchS
         library=library,
         selection=selection,
         won=gain,
-        own_steps=setup.own_steps or setup,
-    )
-
-
-def _is_worse(setup: SearchSetup, own: SearchSetup, last: State) -> bool:
-    """Whether what was found explains less than with the same effects in the model's own steps."""
-    simulator = own.library.simulator
-    before = simulator.steps
-    worse = _alternatives(own, last).is_worse(last)
-    setup.library.simulator.steps += simulator.steps - before
-    return worse
-
-
-def _in_own_steps(setup: SearchSetup, own: SearchSetup) -> SearchSetup:
-    """A setup whose simulations have the model's own steps again, and keep them."""
-    own.library.simulator.steps = setup.library.simulator.steps
-    selection = _anew(own, "the model's own physics steps")
-    return replace(own, selection=selection, noise=setup.noise, decided=True)
-
-
-def _alternatives(setup: SearchSetup, first: State) -> ArithmeticAlternatives:
-    """More exact steps than a setup has."""
-    selection = setup.selection
-    return ArithmeticAlternatives(
-        setup.library, selection.floor, selection.settings, selection.log, first, setup.won
+        steps_chosen=True,
     )
 
 
 def search_effects(setup: SearchSetup) -> tuple[SearchSetup, SearchedEffects]:
     """Look for effects; where that is interrupted, return what was accepted so far.
 
-    Where more exact physics steps are the better explanation, all is done anew with them; and once
-    more in the model's own where these explain what was found better.
+    Where more exact physics steps are the better explanation, all is done anew with them.
 
     Parameters
     ----------
@@ -188,18 +163,20 @@ def search_effects(setup: SearchSetup) -> tuple[SearchSetup, SearchedEffects]:
         return setup, SearchedEffects(*setup.evaluated(), explained.interrupted)
     first = setup.first()
     selection = setup.selection
-    alternatives = None if setup.decided else _alternatives(setup, first)
+    settings = selection.settings
+    alternatives = ArithmeticAlternatives(
+        setup.library, selection.floor, settings, selection.log, first, setup.won
+    )
     try:
         begun = begin_with(selection, first, setup.instances, setup.known)
         selection.latest = begun
-        if not _has_winner(setup, alternatives, first, begun):
+        if not setup.steps_chosen and alternatives.is_preferred(begun):
+            return _in_either(setup, alternatives)
+        if begun is first or not alternatives(first, begun):
             last, reviews = explain(setup, first, begun, alternatives)
-        if alternatives is not None and alternatives.winner is not None:
-            return search_effects(_stepped(setup, alternatives.winner, alternatives.gain))
-        own = setup.own_steps
-        if own is not None and _is_worse(setup, own, last):
-            return search_effects(_in_own_steps(setup, own))
-        return setup, SearchedEffects(first, last, reviews)
+        if alternatives.winner is None:
+            return setup, SearchedEffects(first, last, reviews)
+        return search_effects(_stepped(setup, alternatives.winner, alternatives.gain))
     except KeyboardInterrupt:
         selection.progress(0.9, STOPPING)
         last = selection.latest or first
@@ -207,15 +184,29 @@ def search_effects(setup: SearchSetup) -> tuple[SearchSetup, SearchedEffects]:
         return setup, SearchedEffects(first, last, reviews, interrupted=True)
 
 
-def _has_winner(
-    setup: SearchSetup, alternatives: ArithmeticAlternatives | None, first: State, begun: State
-) -> bool:
-    """Whether more exact steps are better from the beginning, or in the place of what is known."""
-    if alternatives is None:
-        return False
-    if setup.own_steps is None and alternatives.is_preferred(begun):
-        return True
-    return begun is not first and alternatives(first, begun)
+def _in_either(
+    setup: SearchSetup, alternatives: ArithmeticAlternatives
+) -> tuple[SearchSetup, SearchedEffects]:
+    """A search in more exact steps; if it finds something, also one in the model's own.
+
+    A machine has no steps, and another simulation may have the model's own. As with effects that do
+    nearly the same, what is less usual must be better by a margin, and so must another effect.
+    """
+    assert alternatives.winner is not None
+    exact, found = search_effects(_stepped(setup, alternatives.winner, alternatives.gain))
+    if found.interrupted or not found.last.accepted:
+        return exact, found
+    setup.library.simulator.steps = exact.library.simulator.steps
+    selection = _anew(setup, "the model's own physics steps")
+    own, other = search_effects(replace(setup, selection=selection, steps_chosen=True))
+    exact.library.simulator.steps = own.library.simulator.steps
+    if other.interrupted:
+        return exact, replace(found, interrupted=True)
+    more = len(other.last.accepted) - len(found.last.accepted)
+    gain = penalized_log_likelihood(other.last) - penalized_log_likelihood(found.last)
+    if gain > (1 + more) * setup.selection.settings.usual_margin:
+        return own, other
+    return exact, found
 
 
 def explain(

@@ -252,27 +252,6 @@ class ArithmeticAlternatives:
         self.winner = self._refined(simulator, arithmetic, alternative, needed)
         return True
 
-    def is_worse(self, state: State) -> bool:
-        """Decide whether a model that was found in more exact steps explains less in them.
-
-        Parameters
-        ----------
-        state : State
-            The model, in more exact steps than the library's.
-
-        Returns
-        -------
-        bool
-            Whether the same effects, fitted anew in the library's own steps, gain what is needed
-            on all windows, and anything on those held out.
-        """
-        simulator = self.library.simulator
-        assert isinstance(simulator, RobotSimulator)
-        own = self._fitted(simulator, Arithmetic(1), state)
-        gain = penalized_log_likelihood(own) - penalized_log_likelihood(state)
-        held_out, _ = gain_of(state.test, own.test)
-        return bool(gain > self.selection.needed_gain(1) and held_out > 0)
-
     def _most_promising(self, simulator: RobotSimulator, state: State) -> tuple[Arithmetic, float]:
         """The cheapest alternative that gains nearly as much as any on the windows to fit, and its
         gain.

@@ -107,7 +107,8 @@ def test_a_delay_below_a_step_is_no_cause_where_something_remains(monkeypatch):
     """Where exact steps are not tried, half a step of delay is accepted, refused in the end, and
     said, beside what half the steps would explain. So this is the control of the test above, too.
     """
-    monkeypatch.setattr(ArithmeticAlternatives, "__call__", lambda *given: False)
+    for decision in ("is_preferred", "__call__"):
+        monkeypatch.setattr(ArithmeticAlternatives, decision, lambda *given: False)
     found = SEARCH.run(recorded(4, "mjINT_RK4"), rng=0)
     assert [cause.effect for cause in found.causes] == ["joint_damping"]
     estimate = found.causes[0].estimate["damping"]
