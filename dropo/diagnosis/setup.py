@@ -18,6 +18,7 @@ from dropo.diagnosis.findings.premises.still import Held
 from dropo.diagnosis.findings.remains.unexplained_forces import without_impulses
 from dropo.diagnosis.laws.discovery import WithLaws
 from dropo.diagnosis.parts import Leader
+from dropo.diagnosis.search.arithmetic import Arithmetic
 from dropo.diagnosis.search.bounds import at_bounds
 from dropo.diagnosis.search.library import plugin_effects, robot_of
 from dropo.diagnosis.search.linearization import Library, shift_linearization
@@ -197,6 +198,8 @@ class SearchSetup:
         What its steps gained over the model's own [nats]; 0 if they are those.
     steps_chosen : bool
         Whether it is decided in which steps the search begins.
+    tried : Arithmetic or None
+        Other steps in which a search was made already.
     worse : mapping of str to Leader
         By their labels, effects with which errors after some horizon are larger.
     compared : bool
@@ -220,6 +223,7 @@ class SearchSetup:
     refused: Mapping[str, str] = field(default_factory=dict)
     won: float = 0.0
     steps_chosen: bool = False
+    tried: Arithmetic | None = None
     worse: Mapping[str, Leader] = field(default_factory=dict)
     compared: bool = False
     sought: bool = False

@@ -11,7 +11,7 @@ from dropo.data.outliers.without_disturbances import WithoutDisturbances
 from dropo.diagnosis.findings.accuracy.every_horizon import Beyond
 from dropo.diagnosis.findings.premises.numerics import refused_delay, short_delay
 from dropo.diagnosis.parts import Leader
-from dropo.diagnosis.search.arithmetic import Arithmetic, ArithmeticAlternatives
+from dropo.diagnosis.search.arithmetic import ArithmeticAlternatives
 from dropo.diagnosis.search.confirmation import gain_of
 from dropo.diagnosis.search.known_causes import begin_with
 from dropo.diagnosis.search.library import robot_of
@@ -124,8 +124,10 @@ def _coloured(setup: SearchSetup, noise: WindowNoise) -> SearchSetup:
     return replace(setup, selection=_anew(setup, "noise that is not white"), noise=noise)
 
 
-def _stepped(setup: SearchSetup, arithmetic: Arithmetic, gain: float) -> SearchSetup:
-    """A setup whose simulations are stepped otherwise, which gained so much."""
+def _stepped(setup: SearchSetup, alternatives: ArithmeticAlternatives) -> SearchSetup:
+    """A setup whose simulations are stepped as the alternative that is better."""
+    arithmetic = alternatives.winner
+    assert arithmetic is not None
     library = setup.library
     simulator = robot_of(setup.problem)
     exact = arithmetic.of(library.simulator)  # type: ignore[arg-type]
@@ -138,7 +140,7 @@ def _stepped(setup: SearchSetup, arithmetic: Arithmetic, gain: float) -> SearchS
         problem=problem,
         library=library,
         selection=selection,
-        won=gain,
+        won=alternatives.gain,
         steps_chosen=True,
     )
 
@@ -174,9 +176,11 @@ def search_effects(setup: SearchSetup) -> tuple[SearchSetup, SearchedEffects]:
             return _in_either(setup, alternatives)
         if begun is first or not alternatives(first, begun):
             last, reviews = explain(setup, first, begun, alternatives)
-        if alternatives.winner is None:
-            return setup, SearchedEffects(first, last, reviews)
-        return search_effects(_stepped(setup, alternatives.winner, alternatives.gain))
+            if alternatives.winner in (None, setup.tried):
+                return setup, SearchedEffects(first, last, reviews)
+        elif alternatives.winner == setup.tried:
+            return setup, SearchedEffects(first, begun, reviews_so_far(selection, begun))
+        return search_effects(_stepped(setup, alternatives))
     except KeyboardInterrupt:
         selection.progress(0.9, STOPPING)
         last = selection.latest or first
@@ -192,13 +196,13 @@ def _in_either(
     A machine has no steps, and another simulation may have the model's own. As with effects that do
     nearly the same, what is less usual must be better by a margin, and so must another effect.
     """
-    assert alternatives.winner is not None
-    exact, found = search_effects(_stepped(setup, alternatives.winner, alternatives.gain))
+    exact, found = search_effects(_stepped(setup, alternatives))
     if found.interrupted or not found.last.accepted:
         return exact, found
     setup.library.simulator.steps = exact.library.simulator.steps
     selection = _anew(setup, "the model's own physics steps")
-    own, other = search_effects(replace(setup, selection=selection, steps_chosen=True))
+    own = replace(setup, selection=selection, steps_chosen=True, tried=alternatives.winner)
+    own, other = search_effects(own)
     exact.library.simulator.steps = own.library.simulator.steps
     if other.interrupted:
         return exact, replace(found, interrupted=True)
