@@ -7,7 +7,7 @@ effect is, with the linearization in the start's noise as it is, and only fitted
 windows held out confirm that.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -49,6 +49,11 @@ class Arithmetic:
     finer: int
     integrator: str | None = None
 
+    @property
+    def cost(self) -> int:
+        """Evaluations of the dynamics in the place of one."""
+        return self.finer * (4 if self.integrator == "RK4" else 1)
+
     def of(self, simulator: RobotSimulator) -> RobotSimulator:
         """Return a simulator that is stepped so.
 
@@ -76,7 +81,9 @@ class ArithmeticSettings:
         The cheapest first. The last two are for machines too stiff for Runge and Kutta, and for
         data of another simulation, in shorter steps of the same kind.
     of_runge_kutta : tuple of Arithmetic
-        Those of a model that is stepped by Runge and Kutta already.
+        Those of a model that is stepped by Runge and Kutta already, or more exactly than it came.
+    at_first : int
+        A search may begin with those of no more than so many evaluations of the dynamics a step.
     nearly : float
         The cheapest is fitted that gains this fraction of what any gains ...
     stride : int
@@ -96,6 +103,7 @@ class ArithmeticSettings:
         Arithmetic(10),
     )
     of_runge_kutta: tuple[Arithmetic, ...] = (Arithmetic(2),)
+    at_first: int = 4
     nearly: float = 0.95
     stride: int = 4
     fewest: int = 12
@@ -185,7 +193,8 @@ class ArithmeticAlternatives:
         if not isinstance(simulator, RobotSimulator) or simulator.control_step is None:
             return False
         gained = float((state.test.log_likelihood - self.first.test.log_likelihood).sum())
-        needed = self.selection.needed_gain(len(alternatives_of(simulator, self.settings)))
+        there = self._there(simulator)
+        needed = self.selection.needed_gain(len(there))
         needed = max(needed, self.selection.minimum_fraction * gained)
         before = penalized_log_likelihood(state)
         as_a_step = found is not None and _shifts_within_a_step(self.library, found)
@@ -194,7 +203,7 @@ class ArithmeticAlternatives:
             of_effect = penalized_log_likelihood(found) - before
         least = max(of_effect, self.settings.further * self.won)
         # What promises too little on some of the windows to fit is not tried; both sides gain.
-        arithmetic, promise = self._most_promising(simulator, state)
+        arithmetic, promise = self._most_promising(simulator, state, there)
         if not promise > self.selection.alternative_fraction * max(needed, 0.5 * least):
             return False
 
@@ -239,8 +248,11 @@ class ArithmeticAlternatives:
         simulator = self.library.simulator
         if not isinstance(simulator, RobotSimulator) or simulator.control_step is None:
             return False
-        needed = self.selection.needed_gain(len(alternatives_of(simulator, self.settings)))
-        arithmetic, promise = self._most_promising(simulator, state)
+        cheap = [one for one in self._there(simulator) if one.cost <= self.settings.at_first]
+        if not cheap:
+            return False
+        needed = self.selection.needed_gain(len(cheap))
+        arithmetic, promise = self._most_promising(simulator, state, cheap)
         if not promise > self.selection.alternative_fraction * needed:
             return False
         alternative = self._fitted(simulator, arithmetic, state)
@@ -249,10 +261,18 @@ class ArithmeticAlternatives:
         if not (gain > needed and held_out > 0):
             return False
         self.gain = gain
-        self.winner = self._refined(simulator, arithmetic, alternative, needed)
+        self.winner = arithmetic
         return True
 
-    def _most_promising(self, simulator: RobotSimulator, state: State) -> tuple[Arithmetic, float]:
+    def _there(self, simulator: RobotSimulator) -> tuple[Arithmetic, ...]:
+        """The alternatives to the steps that the model has by now."""
+        if self.won > 0:
+            return self.settings.of_runge_kutta
+        return alternatives_of(simulator, self.settings)
+
+    def _most_promising(
+        self, simulator: RobotSimulator, state: State, there: Sequence[Arithmetic]
+    ) -> tuple[Arithmetic, float]:
         """The cheapest alternative that gains nearly as much as any on the windows to fit, and its
         gain.
 
@@ -279,7 +299,7 @@ class ArithmeticAlternatives:
 
         before = fitted(self.library, some)
         gains = []
-        for arithmetic in alternatives_of(simulator, self.settings):
+        for arithmetic in there:
             library = self._library(arithmetic.of(simulator))
             begun = shift_linearization(library, some, state.theta, some.whiten.noise)
             gain = fitted(library, begun) - before
