@@ -322,6 +322,7 @@ class Diagnose:
             free,
             len(instances),
             wiring,
+            exact=task.exact,
             known=task.known,
         )
 
@@ -376,7 +377,8 @@ class Diagnose:
             if undisturbed is not None:
                 spent = task.spent + setup.library.simulator.steps
                 rest = replace(task, problem=setup.problem, undisturbed=undisturbed, spent=spent)
-                return self._run(replace(rest, before=found.last), progress)
+                rest = replace(rest, before=found.last, exact=setup.exact)
+                return self._run(rest, progress)
             if not found.interrupted:
                 return self._result(task, setup, found, progress)
         except KeyboardInterrupt:

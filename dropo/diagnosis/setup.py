@@ -147,6 +147,8 @@ class DiagnosisTask:
         The model by which they were found.
     spent : int
         Simulator steps so far.
+    exact : bool
+        Whether the problem's model has more exact steps already than it came with.
     known : sequence of (EffectInstance, (q,) array)
         What regression is certain of.
     """
@@ -160,6 +162,7 @@ class DiagnosisTask:
     undisturbed: WithoutDisturbances | None = None
     before: State | None = None
     spent: int = 0
+    exact: bool = False
     known: ActiveEffects = ()
 
     @property
@@ -194,8 +197,8 @@ class SearchSetup:
         The first guess where it is coloured.
     refused : mapping of str to str
         By their labels, effects that are no causes, with why, a sentence each.
-    won : float
-        What its steps gained over the model's own [nats]; 0 if they are those.
+    exact : bool
+        Whether it has more exact steps than the model, which no others are then tried beside.
     steps_chosen : bool
         Whether it is decided in which steps the search begins.
     tried : Arithmetic or None
@@ -221,7 +224,7 @@ class SearchSetup:
     wiring: tuple[str, ...]
     noise: WindowNoise | None = None
     refused: Mapping[str, str] = field(default_factory=dict)
-    won: float = 0.0
+    exact: bool = False
     steps_chosen: bool = False
     tried: Arithmetic | None = None
     worse: Mapping[str, Leader] = field(default_factory=dict)

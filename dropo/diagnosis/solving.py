@@ -140,8 +140,7 @@ def _stepped(setup: SearchSetup, alternatives: ArithmeticAlternatives) -> Search
         problem=problem,
         library=library,
         selection=selection,
-        won=alternatives.gain,
-        steps_chosen=True,
+        exact=True,
     )
 
 
@@ -165,13 +164,14 @@ def search_effects(setup: SearchSetup) -> tuple[SearchSetup, SearchedEffects]:
         return setup, SearchedEffects(*setup.evaluated(), explained.interrupted)
     first = setup.first()
     selection = setup.selection
-    settings = selection.settings
-    alternatives = ArithmeticAlternatives(
-        setup.library, selection.floor, settings, selection.log, first, setup.won
-    )
     try:
         begun = begin_with(selection, first, setup.instances, setup.known)
         selection.latest = begun
+        if setup.exact:
+            return setup, SearchedEffects(first, *explain(setup, first, begun))
+        alternatives = ArithmeticAlternatives(
+            setup.library, selection.floor, selection.settings, selection.log, first
+        )
         if not setup.steps_chosen and alternatives.is_preferred(begun):
             return _in_either(setup, alternatives)
         if begun is first or not alternatives(first, begun):

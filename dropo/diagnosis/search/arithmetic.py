@@ -81,7 +81,7 @@ class ArithmeticSettings:
         The cheapest first. The last two are for machines too stiff for Runge and Kutta, and for
         data of another simulation, in shorter steps of the same kind.
     of_runge_kutta : tuple of Arithmetic
-        Those of a model that is stepped by Runge and Kutta already, or more exactly than it came.
+        Those of a model that is stepped by Runge and Kutta already.
     at_first : int
         A search may begin with those of no more than so many evaluations of the dynamics a step.
     nearly : float
@@ -92,8 +92,6 @@ class ArithmeticSettings:
         ... if these are so many at least.
     finest : int
         A winner's steps are halved as long as that is confirmed, down to this part.
-    further : float
-        Another winner must gain this fraction of what the one before did: a search anew costs much.
     """
 
     alternatives: tuple[Arithmetic, ...] = (
@@ -108,7 +106,6 @@ class ArithmeticSettings:
     stride: int = 4
     fewest: int = 12
     finest: int = 8
-    further: float = 0.1
 
 
 SETTINGS = ArithmeticSettings()
@@ -151,8 +148,6 @@ class ArithmeticAlternatives:
         Where fits are recorded.
     first : State
         The model as it is, in the steps that it has by now.
-    won : float
-        What the steps that the model has by now gained over its own [nats]; 0 if they are those.
     settings : ArithmeticSettings
         Which alternatives there are.
     winner : Arithmetic or None
@@ -166,7 +161,6 @@ class ArithmeticAlternatives:
     selection: SelectionSettings
     log: EvaluationLog
     first: State
-    won: float = 0.0
     settings: ArithmeticSettings = SETTINGS
     winner: Arithmetic | None = field(init=False, default=None)
     gain: float = field(init=False, default=0.0)
@@ -193,7 +187,7 @@ class ArithmeticAlternatives:
         if not isinstance(simulator, RobotSimulator) or simulator.control_step is None:
             return False
         gained = float((state.test.log_likelihood - self.first.test.log_likelihood).sum())
-        there = self._there(simulator)
+        there = alternatives_of(simulator, self.settings)
         needed = self.selection.needed_gain(len(there))
         needed = max(needed, self.selection.minimum_fraction * gained)
         before = penalized_log_likelihood(state)
@@ -201,10 +195,9 @@ class ArithmeticAlternatives:
         of_effect = 0.0
         if found is not None and not as_a_step:
             of_effect = penalized_log_likelihood(found) - before
-        least = max(of_effect, self.settings.further * self.won)
         # What promises too little on some of the windows to fit is not tried; both sides gain.
         arithmetic, promise = self._most_promising(simulator, state, there)
-        if not promise > self.selection.alternative_fraction * max(needed, 0.5 * least):
+        if not promise > self.selection.alternative_fraction * max(needed, 0.5 * of_effect):
             return False
 
         def is_better(alternative: State, least: float) -> bool:
@@ -214,11 +207,11 @@ class ArithmeticAlternatives:
 
         # As of an effect: tried, and fitted to the end where that has a chance.
         tried = self._tried(simulator, arithmetic, state)
-        has_chance = is_better(tried, self.selection.polished_fraction * least)
+        has_chance = is_better(tried, self.selection.polished_fraction * of_effect)
         if not has_chance and not has_less_noise(state.train, tried.train, self.selection):
             return False
         alternative = self._fitted(simulator, arithmetic, state)
-        if not is_better(alternative, least):
+        if not is_better(alternative, of_effect):
             return False
         if found is not None and as_a_step:
             more = self.selection.needed_gain(1)
@@ -248,7 +241,11 @@ class ArithmeticAlternatives:
         simulator = self.library.simulator
         if not isinstance(simulator, RobotSimulator) or simulator.control_step is None:
             return False
-        cheap = [one for one in self._there(simulator) if one.cost <= self.settings.at_first]
+        cheap = [
+            one
+            for one in alternatives_of(simulator, self.settings)
+            if one.cost <= self.settings.at_first
+        ]
         if not cheap:
             return False
         needed = self.selection.needed_gain(len(cheap))
@@ -263,12 +260,6 @@ class ArithmeticAlternatives:
         self.gain = gain
         self.winner = arithmetic
         return True
-
-    def _there(self, simulator: RobotSimulator) -> tuple[Arithmetic, ...]:
-        """The alternatives to the steps that the model has by now."""
-        if self.won > 0:
-            return self.settings.of_runge_kutta
-        return alternatives_of(simulator, self.settings)
 
     def _most_promising(
         self, simulator: RobotSimulator, state: State, there: Sequence[Arithmetic]
