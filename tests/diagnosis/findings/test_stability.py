@@ -130,7 +130,10 @@ def test_steps_under_which_there_is_no_likelihood_win_nothing(searched, monkeypa
     others = ArithmeticAlternatives(
         setup.library, selection.floor, selection.settings, EvaluationLog(), last
     )
-    assert np.isfinite(others._most_promising(setup.library.simulator, last)[1])
+    simulator = setup.library.simulator
+    there = arithmetic.alternatives_of(simulator)
+    assert np.isfinite(others._most_promising(simulator, last, there)[1])
     none = SimpleNamespace(log_likelihood=np.array([np.nan]))
     monkeypatch.setattr(arithmetic, "settle", lambda *args, **more: none)
     assert not others(last, None)
+    assert not others.is_preferred(last)
