@@ -151,9 +151,7 @@ class ArithmeticAlternatives:
     settings : ArithmeticSettings
         Which alternatives there are.
     winner : Arithmetic or None
-        What explained the data better than an effect ...
-    gain : float
-        ... and by how much [nats].
+        What explained the data better than an effect.
     """
 
     library: Library
@@ -163,7 +161,6 @@ class ArithmeticAlternatives:
     first: State
     settings: ArithmeticSettings = SETTINGS
     winner: Arithmetic | None = field(init=False, default=None)
-    gain: float = field(init=False, default=0.0)
 
     def __call__(self, state: State, found: State | None) -> bool:
         """Decide whether more exact steps are the better explanation.
@@ -217,7 +214,6 @@ class ArithmeticAlternatives:
             more = self.selection.needed_gain(1)
             if is_confirmed(alternative.test, found.test, more, self.selection):
                 return False
-        self.gain = penalized_log_likelihood(alternative) - before
         self.winner = self._refined(simulator, arithmetic, alternative, needed)
         return True
 
@@ -257,7 +253,6 @@ class ArithmeticAlternatives:
         held_out, _ = gain_of(state.test, alternative.test)
         if not (gain > needed and held_out > 0):
             return False
-        self.gain = gain
         self.winner = arithmetic
         return True
 
