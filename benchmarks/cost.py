@@ -22,7 +22,7 @@ from threadpoolctl import threadpool_limits
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.readme import write_block
+from benchmarks.readme import read_kept, write_block
 from benchmarks.robots import problem_of
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import Simulator
@@ -232,7 +232,7 @@ def main() -> None:
         print(json.dumps(measured(tuple(options.cell))))
         return
     kept = HERE / "cost.json"
-    found = json.loads(kept.read_text()) if kept.exists() else {}
+    found = read_kept(kept)
     for cell in CELLS:
         key = json.dumps(cell)
         if key in found or cell[2] > options.upto:

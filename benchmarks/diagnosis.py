@@ -13,7 +13,6 @@ thread, all seconds are processor time.
 """
 
 import argparse
-import json
 import sys
 import time
 from collections import Counter, defaultdict
@@ -28,7 +27,7 @@ from threadpoolctl import threadpool_limits
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.readme import numbers
+from benchmarks.readme import numbers, read_kept
 from dropo import Diagnose
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.records.trajectories import Segments
@@ -271,7 +270,7 @@ def main() -> None:
     machines = MACHINES if options.machine is None else (options.machine,)
     cases = CASES if options.case is None else (options.case,)
     wanted = [(m, c, s) for m in machines for c in cases for s in options.seeds or SEEDS]
-    found = json.loads(KEPT.read_text()) if KEPT.exists() else {}
+    found = read_kept(KEPT)
     for machine, case, seed in () if options.kept else wanted:
         key = f"{machine}, {case}, {seed}"
         if key in found:

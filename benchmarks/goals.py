@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmarks.readme import numbers_in
+from benchmarks.readme import numbers_in, read_kept
 
 HERE = Path(__file__).resolve().parent
 DURATIONS = HERE.parent / "tests" / "durations.json"
@@ -161,15 +161,11 @@ def table(texts: Mapping[str, str]) -> str:
     """A Markdown table of all goals, from the texts of the other blocks."""
     found = {name: numbers_in(text) for name, text in texts.items()}
 
-    def kept(name: str) -> dict[str, Any]:
-        path = HERE / name
-        return dict(json.loads(path.read_text())) if path.exists() else {}
-
-    rounds = kept("cost.json")
+    rounds = read_kept(HERE / "cost.json")
     parts: tuple[Callable[[], list[Row]], ...] = (
         lambda: main_job(found.get("shares", {})),
         lambda: diagnoses(found.get("diagnosis", {})),
-        lambda: many_transitions(kept("transitions.json"), rounds),
+        lambda: many_transitions(read_kept(HERE / "transitions.json"), rounds),
         lambda: many_parameters(rounds),
         lambda: on_a_gpu(found.get("gpu", {})),
     )

@@ -10,11 +10,9 @@ What is measured is kept in `gpu.json`, row by row. Without a GPU nothing is mea
 
 import datetime as dt
 import importlib.util
-import json
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,11 +20,11 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.readme import numbers, write_block
+from benchmarks.readme import numbers, read_kept, write_block
 from benchmarks.robots import humanoid_problem, quadruped_problem
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import Simulator
-from dropo.core.services.files.atomic_write import write_text
+from dropo.core.services.files.atomic_write import write_json
 from dropo.problems.loading import load
 from dropo.studies.tiboni_2021.hopper_fits import AS_PUBLISHED, estimator, found
 from dropo.studies.tiboni_2021.hopper_sets import FULL, THESIS, data_set
@@ -39,6 +37,8 @@ PROBLEMS: dict[str, Callable[[], Problem]] = {
     "humanoid, 29 joints": lambda: humanoid_problem(500, 0),
 }
 WORLDS = (1_000, 10_000, 100_000)
+OF_A_FIT = ("evaluations", "steps", "seconds", "mean", "mean_se", "log_likelihood")
+"""What is kept of the published method's fit."""
 AT_A_TIME = 51_000
 """Worlds of the published method: half of the draws of one distribution on all transitions."""
 
@@ -84,34 +84,25 @@ def measure_rates() -> None:
             keep("rates", f"{name} | {worlds:,}", rates)
 
 
-def measure_published(data: str = "noisy", budget: int | None = None) -> None:
+def measure_published(data: str = "noisy") -> None:
     """Keep what the published method finds in the first data set of table 6.1, all evaluations."""
     problem, drawn = data_set("6.1", data, 0)
-    method: Any = estimator(AS_PUBLISHED, FULL)
-    if budget is not None:
-        method = replace(method, budget=budget)
-    begun = time.perf_counter()
-    row = found(method.fit(on_gpu(problem, AT_A_TIME), rng=0))
-    row["seconds"] = time.perf_counter() - begun
-    keep("published", data, row | {"drawn": drawn[0].tolist()})
+    row = found(estimator(AS_PUBLISHED, FULL).fit(on_gpu(problem, AT_A_TIME), rng=0))
+    told = {name: row[name] for name in OF_A_FIT}
+    keep("published", data, told | {"drawn": drawn[0].tolist()})
 
 
 def keep(part: str, name: str, row: Any) -> None:
     """Add what was measured, with device and date, to the file."""
-    kept = read()
+    kept = read_kept(KEPT)
     stamp = f"{device()}, {dt.date.today()}"
     kept.setdefault(part, {})[name] = {"where": stamp, "found": row}
-    write_text(KEPT, json.dumps(kept, indent=1) + "\n")
-
-
-def read() -> dict[str, Any]:
-    """What the file holds."""
-    return dict(json.loads(KEPT.read_text())) if KEPT.exists() else {}
+    write_json(KEPT, kept)
 
 
 def table() -> str:
     """Markdown tables of what the file holds, with devices and dates."""
-    kept = read()
+    kept = read_kept(KEPT)
     rates = kept.get("rates", {})
     places = sorted({row["where"] for part in kept.values() for row in part.values()})
     said = "; ".join(places) if places else "No GPU was at hand"

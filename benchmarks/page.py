@@ -12,7 +12,6 @@ from the other blocks, are written at the end of each run.
 """
 
 import argparse
-import json
 import os
 import subprocess
 import sys
@@ -26,7 +25,7 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks import goals
-from benchmarks.readme import write_block
+from benchmarks.readme import read_kept, write_block
 from dropo.core.services.files.atomic_write import write_json
 
 HERE = Path(__file__).resolve().parent
@@ -116,7 +115,7 @@ def main() -> None:
     unknown = set(options.blocks) - {*BLOCKS, "goals"}
     if unknown:
         parser.error(f"no such block: {', '.join(sorted(unknown))}; there are {', '.join(BLOCKS)}")
-    found = json.loads(KEPT.read_text()) if KEPT.exists() else {}
+    found = read_kept(KEPT)
     if options.list:
         print(listed(found))
         return

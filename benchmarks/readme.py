@@ -29,3 +29,8 @@ def numbers_in(text: str) -> dict[str, Any]:
     """What was measured, from the output of a benchmark; nothing where it says nothing."""
     found = NUMBERS.search(text)
     return {} if found is None else dict(json.loads(found[1]))
+
+
+def read_kept(path: Path) -> dict[str, Any]:
+    """What a benchmark has kept in a file of JSON; nothing where there is none yet."""
+    return dict(json.loads(path.read_text())) if path.exists() else {}

@@ -18,7 +18,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.readme import write_block
+from benchmarks.readme import read_kept, write_block
 from benchmarks.robots import block_problem, problem_of
 from dropo.core.contracts.problem import Problem
 from dropo.core.services.files.atomic_write import write_json
@@ -101,7 +101,7 @@ def main() -> None:
         return
     for what, transitions in CELLS:
         name = f"{what} {transitions}"
-        found = json.loads(KEPT.read_text()) if KEPT.exists() else {}
+        found = read_kept(KEPT)
         if name in found or transitions > options.upto:
             continue
         print(name, file=sys.stderr, flush=True)

@@ -135,13 +135,7 @@ def _stepped(setup: SearchSetup, alternatives: ArithmeticAlternatives) -> Search
     library = Library(exact, library.instances, library.declared, library.differences)
     selection = replace(_anew(setup, "exact physics steps"), library=library)
     problem = replace(setup.problem, simulator=arithmetic.of(simulator))
-    return replace(
-        setup,
-        problem=problem,
-        library=library,
-        selection=selection,
-        exact=True,
-    )
+    return replace(setup, problem=problem, library=library, selection=selection, exact=True)
 
 
 def search_effects(setup: SearchSetup) -> tuple[SearchSetup, SearchedEffects]:

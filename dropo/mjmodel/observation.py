@@ -190,7 +190,7 @@ class Layout:
         (..., P) array
         """
         first = _first_places(model)
-        if all(column.field != "sensordata" for column in self.columns):
+        if not self.needs_sensors:
             places = [first[column.field] + column.place for column in self.columns]
             return np.take(states, places, axis=-1)
         out = np.empty((*states.shape[:-1], len(self)))

@@ -162,6 +162,14 @@ class ArithmeticAlternatives:
     settings: ArithmeticSettings = SETTINGS
     winner: Arithmetic | None = field(init=False, default=None)
 
+    @property
+    def _robot(self) -> RobotSimulator | None:
+        """The simulator, if its physics steps can be others."""
+        simulator = self.library.simulator
+        if not isinstance(simulator, RobotSimulator) or simulator.control_step is None:
+            return None
+        return simulator
+
     def __call__(self, state: State, found: State | None) -> bool:
         """Decide whether more exact steps are the better explanation.
 
@@ -180,8 +188,8 @@ class ArithmeticAlternatives:
             or commands by less than a physics step, whether they do not confirm it in the place of
             the alternative: that is what the step itself looks like.
         """
-        simulator = self.library.simulator
-        if not isinstance(simulator, RobotSimulator) or simulator.control_step is None:
+        simulator = self._robot
+        if simulator is None:
             return False
         gained = float((state.test.log_likelihood - self.first.test.log_likelihood).sum())
         there = alternatives_of(simulator, self.settings)
@@ -234,8 +242,8 @@ class ArithmeticAlternatives:
             Whether an alternative gains what is needed on all windows, and anything on those held
             out; it is `winner` then.
         """
-        simulator = self.library.simulator
-        if not isinstance(simulator, RobotSimulator) or simulator.control_step is None:
+        simulator = self._robot
+        if simulator is None:
             return False
         cheap = [
             one

@@ -4,6 +4,7 @@ import copy
 import dataclasses
 import warnings
 from collections.abc import Sequence
+from functools import cached_property
 
 import mujoco
 import numpy as np
@@ -18,7 +19,7 @@ from dropo.core.services.validation import Array, require
 from dropo.mjmodel.fields import OPTION
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 from dropo.simulators.mujoco.worker import Worker
-from dropo.simulators.warp.worlds import Room, Worlds, put_model
+from dropo.simulators.warp.worlds import Room, Worlds, key_of, put_model
 
 KEPT = 4
 """Of how many sizes worlds are kept for the next prediction."""
@@ -186,14 +187,13 @@ class WarpSimulator(Simulator):
         """Keep what the first of those found that have begun."""
         worlds, draws, own = task.begun.pop(0)
         task.keep(draws, own, *worlds.end())
-        waiting = self._made.setdefault(worlds.key, [])
-        waiting.append(worlds)
+        self._made.setdefault(worlds.key, []).append(worlds)
 
     def _worlds_for(self, fields: dict[str, Array], count: int) -> Worlds:
         """So many worlds with these fields, from before where there are such."""
-        key = (count, *((name, len(array)) for name, array in fields.items()))
-        if self._made.get(key):
-            return self._made[key].pop()
+        waiting = self._made.get(key_of(fields, count))
+        if waiting:
+            return waiting.pop()
         if len(self._made) > KEPT:
             del self._made[next(iter(self._made))]
         return Worlds(self._model, fields, count, self.device, self.steps_per_action, self._room)
@@ -247,12 +247,16 @@ class _Task:
         self._model = simulator.cpu.model
         self._offsets = offsets
         self._targets = segments.targets
-        self._measured = self._layout.full_states(segments.starts, self._model)
         self.begun: list[tuple[Worlds, slice, Ints]] = []
         self._first_row = np.searchsorted(segments.rows[0], np.arange(len(segments)))
         size = 1 + self._model.nq + self._model.nv + self._model.na
         chained = len(segments.levels) > 1
         self._ends = np.empty((len(values), len(segments), size)) if chained else None
+
+    @cached_property
+    def _measured(self) -> Array:
+        """Physics states (N, 1 + nq + nv + na) at the measured starts of all segments."""
+        return self._layout.full_states(self.segments.starts, self._model)
 
     def start_states(self, draw: Ints, own: Ints) -> Array:
         """Physics states (W, 1 + nq + nv + na) at the starts of segments, or where others ended."""

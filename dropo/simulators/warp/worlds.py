@@ -72,7 +72,7 @@ class Worlds:
         import warp as wp
 
         self.room = room
-        self.key = (count, *((name, len(array)) for name, array in fields.items()))
+        self.key = key_of(fields, count)
         self._model = model
         self._count = count
         self._device = device
@@ -160,7 +160,6 @@ class Worlds:
         import warp as wp
 
         states, commands, every, sensors = self._asked
-        model = self._model
         data = self._data
         actions = commands.shape[1]
         with wp.ScopedDevice(self._device):
@@ -169,16 +168,17 @@ class Worlds:
             for name, array in self._arrays.items():
                 wp.copy(array, self._staged[name])
             place = 1
-            for field, size in (("qpos", model.nq), ("qvel", model.nv), ("act", model.na)):
-                if size:
-                    self._staged[field].numpy()[:] = states[:, place : place + size]
-                    wp.copy(getattr(data, field), self._staged[field])
-                place += size
+            for name in STATE[1:]:
+                staged = self._staged[name]
+                if staged.size:
+                    staged.numpy()[:] = states[:, place : place + staged.shape[1]]
+                    wp.copy(getattr(data, name), staged)
+                place += staged.shape[1]
             by_action = self._stage_commands(commands)
             names = [*STATE, "overflow", *(["sensordata"] if sensors else [])]
             self._prepare_copies(names, actions if every else 1)
             for action in range(actions):
-                if model.nu:
+                if by_action.size:
                     wp.copy(data.ctrl, by_action[action])
                 self._act()
                 if every or action == actions - 1:
@@ -265,6 +265,24 @@ class Worlds:
             return
         for _ in range(self._steps):
             mujoco_warp.step(self._held, self._data)
+
+
+def key_of(fields: Mapping[str, Array], count: int) -> tuple[object, ...]:
+    """Say which worlds may simulate others' numbers: as many, with as many rows in each field.
+
+    Parameters
+    ----------
+    fields : dict of str to (K, ...) array
+        Numbers by field.
+    count : int
+        The number of worlds.
+
+    Returns
+    -------
+    tuple
+        The same for worlds that may stand for each other.
+    """
+    return (count, *((name, len(array)) for name, array in fields.items()))
 
 
 def put_model(model: mujoco.MjModel, device: str, rows: dict[str, int]) -> Any:
