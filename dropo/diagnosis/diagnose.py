@@ -303,6 +303,8 @@ class Diagnose:
         length = self._length(problem, explained)
         everything = [*instances, *impulses(simulator.model, length)]
         library = Library(simulator.with_effects(everything), everything, len(problem.space))
+        if task.exact:
+            library = replace(library, coarse=robot_of(task.came).with_effects(everything))
         windows = self._windows(problem)
         if explained is not None:
             most = self.settings.evaluated if explained.own_steps else self.settings.exactly

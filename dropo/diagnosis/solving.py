@@ -132,7 +132,7 @@ def _stepped(setup: SearchSetup, alternatives: ArithmeticAlternatives) -> Search
     simulator = robot_of(setup.problem)
     exact = arithmetic.of(library.simulator)  # type: ignore[arg-type]
     exact.steps = library.simulator.steps
-    library = Library(exact, library.instances, library.declared, library.differences)
+    library = replace(library, simulator=exact, coarse=library.simulator)
     selection = replace(_anew(setup, "exact physics steps"), library=library)
     problem = replace(setup.problem, simulator=arithmetic.of(simulator))
     return replace(setup, problem=problem, library=library, selection=selection, exact=True)

@@ -6,9 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from dropo.core.contracts.problem import Problem
+from dropo.core.records.trajectories import Trajectories
 from dropo.data.outliers import disturbances
 from dropo.data.outliers.disturbances import find_disturbances, robust_values
-from tests.models.pushed_arm import PUSHES, STEP, recorded
+from dropo.problems.file.estimated_velocities import with_velocities
+from tests.models.pushed_arm import NOISE, PUSHES, STEP, recorded
 
 
 def test_pushes_are_found_and_nothing_else(simulator):
@@ -30,6 +33,23 @@ def test_pushes_are_found_and_nothing_else(simulator):
     )
     assert len(kept.spans) == 5
     assert find_disturbances(simulator, recorded(simulator, {}, spikes=5), value, STEP).spans == ()
+
+
+def test_pushes_are_found_from_positions_alone(simulator):
+    """Velocities estimated from positions are wrong where commands change at once: that is no push,
+    but where they are not said to be estimated. Pushes are found, nothing else.
+    """
+    for pushes, runs in ((PUSHES, [0, 2]), ({}, [])):
+        moved = recorded(simulator, pushes, abrupt=True, noise=0.01 * NOISE)
+        parts = (moved.observations[:, :1], moved.actions, moved.next_observations[:, :1])
+        alone = Trajectories(*parts, moved.terminals)
+        problem = with_velocities(Problem("arm", simulator.observing(["qpos[0]"]), alone))
+        data = (problem.simulator, problem.trajectories, simulator.nominal, STEP)
+        told = find_disturbances(*data, estimated=problem.estimated)
+        untold = find_disturbances(*data)
+        assert [span.trajectory for span in told.spans] == runs
+        assert {span.signal for span in told.spans} <= {"qpos.hinge"}
+        assert len(untold.spans) > len(runs)
 
 
 def test_a_robust_fit_survives_pushes(simulator):

@@ -28,8 +28,10 @@ def pushed_arm():
     )
 
 
-def recorded(simulator, pushes, spikes=0, seed=0):
-    """Three runs of 8 s under random commands, with noise, and if asked some wild velocities."""
+def recorded(simulator, pushes, spikes=0, seed=0, abrupt=False, noise=NOISE):
+    """Three runs of 8 s under random commands, with noise, and if asked some wild velocities, or
+    commands that change at once, every 0.4 s.
+    """
     rng = np.random.default_rng(seed)
     model = simulator.model
     rows = 800
@@ -40,6 +42,8 @@ def recorded(simulator, pushes, spikes=0, seed=0):
             1.5 * np.sin(2 * np.pi * np.cumsum(rng.uniform(0.1, 1.5, rows)) * STEP)
             + 0.5 * rng.normal()
         )
+        if abrupt:
+            command = np.repeat(rng.uniform(-1.5, 1.5, rows // 40), 40)
         states = [np.concatenate([data.qpos, data.qvel])]
         for t in range(rows):
             data.ctrl[0] = command[t]
@@ -48,7 +52,7 @@ def recorded(simulator, pushes, spikes=0, seed=0):
             )
             mujoco.mj_step(model, data, 2)
             states.append(np.concatenate([data.qpos, data.qvel]))
-        states = np.array(states) + NOISE * rng.normal(size=(rows + 1, 2))
+        states = np.array(states) + noise * rng.normal(size=(rows + 1, 2))
         states[rng.integers(0, rows, spikes), 1] += 3.0
         parts.append((states[:-1], command[:, None], states[1:]))
     ends = np.arange(3 * rows) % rows == rows - 1

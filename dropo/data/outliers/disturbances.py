@@ -2,7 +2,7 @@
 left out.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -40,6 +40,8 @@ class DisturbanceSettings:
         Longest pause within one disturbance [s].
     start_error : float
         Number of standard deviations of noise that the start of a window may be off by.
+    rounds : int
+        Gauss-Newton steps to the start that fits a window best, where it was not measured.
     around_contact : int
         Number of rows around a contact that are not evaluated.
     windows : int
@@ -70,6 +72,7 @@ class DisturbanceSettings:
     fewest: int = 40
     near: float = 0.2
     start_error: float = 3.0
+    rounds: int = 3
     around_contact: int = 2
     windows: int = 300
     at_rest: float = 0.02
@@ -212,6 +215,7 @@ def find_disturbances(
     values: Array,
     step: float,
     *,
+    estimated: Collection[str] = (),
     seconds: Sequence[float] | None = None,
     settings: DisturbanceSettings = SETTINGS,
 ) -> Disturbances:
@@ -220,6 +224,9 @@ def find_disturbances(
     A push shows in velocities: where there are such signals (units per second), they alone are
     evaluated. A long window adds only what no short one has shown. Transitions near contacts are
     left aside.
+
+    Velocities that were estimated are off where forces set in at once. They are not evaluated,
+    other signals are, and a window is off by what it is off by from its best start.
 
     Parameters
     ----------
@@ -232,6 +239,8 @@ def find_disturbances(
         The simulator's parameters, from a fit (see `robust_values`).
     step : float
         Of the control [s].
+    estimated : collection of str
+        Names of the signals that were not measured.
     seconds : sequence of float, optional
         Horizons of the windows, in place of the settings'.
     settings : DisturbanceSettings
@@ -256,8 +265,12 @@ def find_disturbances(
     short = cut(trajectories, 1)
     noise = deviation(simulator.targets(short) - _predict(simulator, value, short)) / np.sqrt(2)
     signals = simulator.signals
-    every = list(range(len(signals)))
-    rates = [i for i in every if signals[i].unit.endswith("/s")] or every
+    unknown = [i for i, signal in enumerate(signals) if signal.name in estimated]
+    measured = [i for i in range(len(signals)) if i not in unknown]
+    rates = [i for i in measured if signals[i].unit.endswith("/s")]
+    if unknown or not rates:
+        rates = measured
+    simulation = _Simulation(simulator, value, noise, rates, unknown)
     free = _away_from_contacts(simulator, trajectories, settings.around_contact)
 
     found: list[Span] = []
@@ -266,7 +279,7 @@ def find_disturbances(
         windows = windows.take(free[windows.steps].all(axis=1))
         if len(windows) < settings.fewest:
             continue
-        times, errors = _relative_errors(simulator, value, windows, rates, noise, settings)
+        times, errors = simulation.relative_errors(windows, settings)
         for members, which in _neighbours(windows, times, settings):
             signal = signals[rates[which]]
             span = _span(windows, members, errors[:, which], times[:, which], signal, step)
@@ -343,51 +356,103 @@ def _predict(simulator: Simulator, value: Array, windows: Segments) -> Array:
     return simulator.predict(value[None], windows)[0]
 
 
-def _relative_errors(
-    simulator: Simulator,
-    value: Array,
-    windows: Segments,
-    rates: list[int],
-    noise: Array,
-    settings: DisturbanceSettings,
-) -> tuple[Array, Array]:
-    """(W, r) the errors of some signals in units of what is usual, and in the signals' units."""
-    predicted = _predict(simulator, value, windows)
-    errors = (simulator.targets(windows) - predicted)[:, rates]
-    usual = _usual_errors(errors, _motion(windows, predicted), windows.trajectory, settings)
-    usual = np.maximum(usual, settings.rounding * np.nanstd(predicted[:, rates], axis=0))
-    times = errors / usual
-    # Of large errors, only what the start's noise cannot explain counts.
-    large = np.flatnonzero((np.abs(times) > settings.edge).any(axis=1))
-    if len(large):
-        some = windows.take(large)
-        by_noise = _errors_by_start(simulator, value, settings.start_error * noise, some)
-        left = np.maximum(np.abs(errors[large]) - by_noise[:, rates], 0.0)
-        times[large] = np.sign(errors[large]) * left / usual[large]
-    return times, errors
-
-
-def _errors_by_start(simulator: Simulator, value: Array, width: Array, windows: Segments) -> Array:
-    """(W, p) the change of predictions as each signal of the start is off by up to a width (p,).
-
-    The changes of all signals are added. So a window that begins close to a stop or an impact,
-    where little decides much, is not taken for pushed.
+@dataclass(frozen=True, eq=False)
+class _Simulation:
+    """What windows are predicted by: the noise (p,) of the simulator's signals, the signals that
+    are evaluated, and those whose start is not known.
     """
-    p = len(width)
-    if simulator.start_size != p:
-        return np.zeros((len(windows), p))
-    fractions = np.array([-1.0, -0.5, 0.5, 1.0])
-    count = len(fractions)
-    # Row 0: the measured start; then for each signal the fractions of its width.
-    offsets = np.zeros((1 + count * p, len(windows), p))
-    for i in range(p):
-        rows = 1 + count * i + np.arange(count)
-        offsets[rows, :, i] = (fractions * width[i])[:, None]
-    values = np.repeat(value[None], len(offsets), axis=0)
-    predicted = simulator.predict(values, windows, offsets=offsets)
-    change = np.nan_to_num(np.abs(predicted[1:] - predicted[0]), nan=np.inf)
-    largest = change.reshape(p, count, len(windows), p).max(axis=1)
-    return np.asarray(largest.sum(axis=0))
+
+    simulator: Simulator
+    value: Array
+    noise: Array
+    evaluated: list[int]
+    unknown: list[int]
+
+    def relative_errors(
+        self, windows: Segments, settings: DisturbanceSettings
+    ) -> tuple[Array, Array]:
+        """(W, r) the errors of some signals in units of what is usual, and in their units."""
+        which = self.evaluated
+        predicted = _predict(self.simulator, self.value, windows)
+        errors = (self.simulator.targets(windows) - predicted)[:, which]
+        usual = _usual_errors(errors, _motion(windows, predicted), windows.trajectory, settings)
+        usual = np.maximum(usual, settings.rounding * np.nanstd(predicted[:, which], axis=0))
+        times = errors / usual
+        # Of large errors, only what the start's noise cannot explain counts.
+        large = np.flatnonzero((np.abs(times) > settings.edge).any(axis=1))
+        if len(large):
+            some = windows.take(large)
+            if self.unknown:
+                errors[large] = self._from_best_start(some, usual[large], settings.rounds)
+            by_noise = self._errors_by_start(some, settings.start_error)[:, which]
+            left = np.maximum(np.abs(errors[large]) - by_noise, 0.0)
+            times[large] = np.sign(errors[large]) * left / usual[large]
+        return times, errors
+
+    def _from_best_start(self, windows: Segments, usual: Array, rounds: int) -> Array:
+        """(W, r) the errors at the ends of windows whose unknown starts fit all of their steps, by
+        so many Gauss-Newton steps.
+
+        usual: (W, r) in units of which they are to fit.
+        """
+        rows = windows.steps[:, 0]
+        steps = windows.trajectories.from_rows(rows, windows.steps.shape[1], every_step=True)
+        targets = self._by_step(self.simulator.targets(steps), usual)
+        start = np.zeros((len(self.unknown), len(windows)))
+        left = targets[:, -1]
+        for _ in range(rounds):
+            predicted, slopes = self._around(steps, start, usual)
+            errors = np.nan_to_num(targets - predicted)
+            flat = slopes.reshape(len(windows), -1, len(start))
+            change = np.linalg.pinv(flat) @ errors.reshape(len(windows), -1, 1)
+            left = errors[:, -1] - (slopes[:, -1] @ change)[..., 0]
+            start += change[..., 0].T
+        return left * usual
+
+    def _around(self, steps: Segments, start: Array, usual: Array) -> tuple[Array, Array]:
+        """Predictions (W, L, r) from starts moved by (u, W), and their slopes (W, L, r, u)."""
+        count = len(start)
+        width = self.noise[self.unknown][:, None]
+        moved = np.stack([start, *(start + side * width for side in (1, -1))])
+        # Row 0: the start; then each unknown signal larger by its width, then each smaller.
+        offsets = np.zeros((1 + 2 * count, len(steps), len(self.noise)))
+        offsets[:, :, self.unknown] = start.T
+        for i, column in enumerate(self.unknown):
+            offsets[[1 + i, 1 + count + i], :, column] = moved[1:, i]
+        values = np.repeat(self.value[None], len(offsets), axis=0)
+        predicted = self._by_step(self.simulator.predict(values, steps, offsets=offsets), usual)
+        slopes = (predicted[1 : 1 + count] - predicted[1 + count :]) / (2 * width[..., None, None])
+        return predicted[0], np.nan_to_num(np.moveaxis(slopes, 0, -1))
+
+    def _by_step(self, values: Array, usual: Array) -> Array:
+        """(..., W, L, r) the signals that are evaluated after each step of (..., W L p) values."""
+        p = len(self.noise)
+        by_step = values.reshape(*values.shape[:-2], len(usual), -1, p)
+        return np.asarray(by_step[..., self.evaluated] / usual[:, None], dtype=float)
+
+    def _errors_by_start(self, windows: Segments, times: float) -> Array:
+        """(W, p) the change of predictions as each signal of the start is off by up to some times
+        its noise.
+
+        The changes of all signals are added. So a window that begins close to a stop or an impact,
+        where little decides much, is not taken for pushed.
+        """
+        p = len(self.noise)
+        if self.simulator.start_size != p:
+            return np.zeros((len(windows), p))
+        known = [i for i in range(p) if i not in self.unknown]
+        fractions = np.array([-1.0, -0.5, 0.5, 1.0])
+        count = len(fractions)
+        # Row 0: the measured start; then for each signal the fractions of its width.
+        offsets = np.zeros((1 + count * len(known), len(windows), p))
+        for place, i in enumerate(known):
+            rows = 1 + count * place + np.arange(count)
+            offsets[rows, :, i] = (fractions * times * self.noise[i])[:, None]
+        values = np.repeat(self.value[None], len(offsets), axis=0)
+        predicted = self.simulator.predict(values, windows, offsets=offsets)
+        change = np.nan_to_num(np.abs(predicted[1:] - predicted[0]), nan=np.inf)
+        largest = change.reshape(len(known), count, len(windows), p).max(axis=1)
+        return np.asarray(largest.sum(axis=0))
 
 
 def _away_from_contacts(

@@ -70,7 +70,9 @@ def without_disturbances(
     step = simulator.control_step
     if step is None:
         return None
-    found = find_disturbances(simulator, both_sides(problem), values, step, settings=settings)
+    found = find_disturbances(
+        simulator, both_sides(problem), values, step, estimated=problem.estimated, settings=settings
+    )
     disturbed = len({span.trajectory for span in found.spans})
     runs = len(found.trajectories.spans)
     too_much = found.share > settings.too_much

@@ -794,7 +794,11 @@ def _larger(library: Library, law: EffectInstance) -> Library:
     """A library with one more effect, behind all others."""
     simulator = library.simulator.with_effects([law])  # type: ignore[attr-defined]
     simulator.steps = library.simulator.steps
-    return Library(simulator, [*library.instances, law], library.declared, library.differences)
+    coarse = library.coarse
+    if coarse is not None:
+        coarse = coarse.with_effects([law])  # type: ignore[attr-defined]
+    instances = [*library.instances, law]
+    return Library(simulator, instances, library.declared, library.differences, coarse)
 
 
 def _extended(selection: Selection, library: Library) -> Selection:

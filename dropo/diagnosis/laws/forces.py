@@ -256,7 +256,8 @@ def step_errors(simulator: RobotSimulator, side: LinearizedWindows) -> Array:
     finer = simulator.with_finer_steps(2)
     predicted = finer.predict(side.theta[None], side.windows.segments)
     simulator.steps += finer.steps
-    change = predicted.reshape(side.residuals.shape) - side.predicted
+    own = side.predicted if side.defect is None else side.predicted + side.defect
+    change = predicted.reshape(side.residuals.shape) - own
     return np.asarray(2 * np.nan_to_num(change))
 
 

@@ -328,7 +328,8 @@ class ArithmeticAlternatives:
 
     def _fitted(self, simulator: RobotSimulator, arithmetic: Arithmetic, state: State) -> State:
         """A model in other steps, fitted as one with an effect more is."""
-        library = self._library(arithmetic.of(simulator))
+        coarse = simulator.with_finer_steps(1)  # with a count of its own
+        library = replace(self.library, simulator=arithmetic.of(simulator), coarse=coarse)
 
         def fit() -> Sides:
             start = linearize(library, state.train.windows, state.theta, state.train.whiten.noise)

@@ -179,6 +179,7 @@ def _first_steps(linearized: LinearizedWindows) -> LinearizedWindows:
         windows=first,
         residuals=linearized.residuals[:, :p],
         shift=linearized.shift[:, :p],
+        defect=None if linearized.defect is None else linearized.defect[:, :p],
         whiten=Whitener(loadings[:, :, kept], linearized.whiten.scale[kept], noise),
         shifted=True,
     )
