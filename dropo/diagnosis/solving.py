@@ -15,7 +15,7 @@ from dropo.diagnosis.search.arithmetic import ArithmeticAlternatives
 from dropo.diagnosis.search.confirmation import gain_of
 from dropo.diagnosis.search.known_causes import begin_with
 from dropo.diagnosis.search.library import robot_of
-from dropo.diagnosis.search.linearization import Library, shift_linearization
+from dropo.diagnosis.search.linearization import shift_linearization
 from dropo.diagnosis.search.refit import other_noise
 from dropo.diagnosis.search.review import Review, merge, review, reviews_so_far
 from dropo.diagnosis.search.selection import STOPPING, Selection
