@@ -155,20 +155,20 @@ class WarpSimulator(Simulator):
             self.worlds = -(-count // 2)
             sentence = f"{self.device} has no memory for {count} worlds: going on with"
             warnings.warn(f"{sentence} {self.worlds}.", DropoWarning, stacklevel=2)
-        if len(own) > 1:
-            middle = -(-len(own) // 2)
-            self._fill(task, draws, own[:middle])
-            self._fill(task, draws, own[middle:])
-        else:
+        if values > 1:
             middle = draws.start - (-values // 2)
             self._fill(task, slice(draws.start, middle), own)
             self._fill(task, slice(middle, draws.stop), own)
+        else:
+            middle = -(-len(own) // 2)
+            self._fill(task, draws, own[:middle])
+            self._fill(task, draws, own[middle:])
 
     def _begin(self, task: "_Task", draws: slice, own: Ints) -> None:
         """As `_fill`, all at once: world w has the w % K-th of the K values."""
         values = draws.stop - draws.start
         place, draw = np.divmod(np.arange(values * len(own)), values)
-        fields = {name: rows[draws] for name, rows in task.fields.items()}
+        fields = task.fields_of(draws)
         worlds = self._worlds_for(fields, len(draw))
         chosen = own[place]
         segments = task.segments
@@ -240,7 +240,9 @@ class _Task:
         self, simulator: WarpSimulator, values: Array, segments: Segments, offsets: Array | None
     ):
         self.segments = segments
-        self.fields = simulator._numbers(values, simulator._moved)
+        self._simulator = simulator
+        self._values = values
+        self._fields: dict[tuple[int, int], dict[str, Array]] = {}
         self.commands = simulator.cpu.commands_of(segments.actions)
         self.out = np.empty((len(values), len(segments.rows[0]), len(simulator.signals)))
         self._layout = simulator.cpu.layout
@@ -252,6 +254,14 @@ class _Task:
         size = 1 + self._model.nq + self._model.nv + self._model.na
         chained = len(segments.levels) > 1
         self._ends = np.empty((len(values), len(segments), size)) if chained else None
+
+    def fields_of(self, draws: slice) -> dict[str, Array]:
+        """The numbers (K, ...) by field of some of the values; computed when first asked for."""
+        simulator = self._simulator
+        key = (draws.start, draws.stop)
+        if key not in self._fields:
+            self._fields[key] = simulator._numbers(self._values[draws], simulator._moved)
+        return self._fields[key]
 
     @cached_property
     def _measured(self) -> Array:

@@ -1,6 +1,7 @@
 """Worlds of a model in MuJoCo Warp, which are made once and simulated again and again."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,13 +23,18 @@ CARRIED = ("time", "qacc_warmstart", "overflow", "history")
 STATE = ("time", "qpos", "qvel", "act")
 """Warp's fields of a physics state, in its order."""
 
+SMALL = 16
+"""Up to how many degrees of freedom a world's matrices take the threads of one warp, not of four:
+more would have nothing to do, and wait for each other.
+"""
+
 
 @dataclass
 class Room:
     """What is held for a world at most; what is held and not needed costs time."""
 
-    contacts: int = 8
-    rows: int = 32
+    contacts: int = 2
+    rows: int = 16
 
     def double(self) -> None:
         """Hold twice as much."""
@@ -77,6 +83,7 @@ class Worlds:
         self._count = count
         self._device = device
         self._on_gpu = wp.get_device(device).is_cuda
+        self._stream = wp.Stream(device) if self._on_gpu else None
         self._steps = steps
         rows = {name: len(array) for name, array in fields.items()}
         held = {name: size for name, size in rows.items() if not name.startswith(OPTION)}
@@ -87,6 +94,14 @@ class Worlds:
             name: self._on_host(array.shape, array.dtype) for name, array in self._arrays.items()
         }
         self._make_room()
+
+    @contextmanager
+    def _queue(self) -> Iterator[None]:
+        """The device, and a queue that others' work does not wait for."""
+        import warp as wp
+
+        with wp.ScopedDevice(self._device), wp.ScopedStream(self._stream):
+            yield
 
     def _own_arrays(self, fields: Mapping[str, Array]) -> dict[str, Any]:
         """Arrays of rows of their own, by field, in the place of those that Warp made."""
@@ -108,7 +123,7 @@ class Worlds:
 
         self._graph = None
         contacts, rows = self._held_room = (self.room.contacts, self.room.rows)
-        with wp.ScopedDevice(self._device):
+        with self._queue():
             self._data = mujoco_warp.make_data(
                 self._model, nworld=self._count, nconmax=contacts, njmax=rows
             )
@@ -162,7 +177,7 @@ class Worlds:
         states, commands, every, sensors = self._asked
         data = self._data
         actions = commands.shape[1]
-        with wp.ScopedDevice(self._device):
+        with self._queue():
             for array, fresh in self._fresh:
                 wp.copy(array, fresh)
             for name, array in self._arrays.items():
@@ -311,7 +326,11 @@ def put_model(model: mujoco.MjModel, device: str, rows: dict[str, int]) -> Any:
 
     try:
         with wp.ScopedDevice(device):
-            return mujoco_warp.put_model(model, batch_sizes=rows)
+            held = mujoco_warp.put_model(model, batch_sizes=rows)
     except NotImplementedError as error:
         where = element_of_type(model, str(error))
         raise Incompatible(f"Warp cannot hold {where}: {error}") from None
+    if model.nv <= SMALL:
+        for name in ("update_gradient_JTDAJ_dense", "update_gradient_cholesky", "small_cholesky"):
+            setattr(held.block_dim, name, 32)
+    return held
