@@ -24,7 +24,7 @@ from dropo.simulators.warp.worlds import Room, Worlds, key_of, put_model
 KEPT = 4
 """Of how many sizes worlds are kept for the next prediction."""
 
-AHEAD = 2
+AHEAD = 3
 """How many sets of worlds a GPU simulates, or has simulated, while another is prepared."""
 
 ON_THE_CPU = (
@@ -83,6 +83,7 @@ class WarpSimulator(Simulator):
         self._model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self._made: dict[tuple[object, ...], list[Worlds]] = {}
         self._room = Room()
+        self._worker = Worker(cpu.simulated, cpu.bindings)
         batched = self._fields_by_world()
         for binding in cpu.bindings:
             for field, _, _ in binding.entries(cpu.model):
@@ -166,16 +167,13 @@ class WarpSimulator(Simulator):
 
     def _begin(self, task: "_Task", draws: slice, own: Ints) -> None:
         """As `_fill`, all at once: world w has the w % K-th of the K values."""
-        values = draws.stop - draws.start
-        place, draw = np.divmod(np.arange(values * len(own)), values)
-        fields = task.fields_of(draws)
-        worlds = self._worlds_for(fields, len(draw))
-        chosen = own[place]
         segments = task.segments
+        fields = task.fields_of(draws)
+        worlds = self._worlds_for(fields, len(own) * (draws.stop - draws.start))
         worlds.begin(
             fields,
-            task.start_states(draws.start + draw, chosen),
-            task.commands[chosen, : segments.lengths[own[0]]],
+            task.start_states(draws, own),
+            task.commands[own, : segments.lengths[own[0]]],
             every=segments.every_step,
             sensors=self.cpu.layout.needs_sensors,
         )
@@ -222,7 +220,7 @@ class WarpSimulator(Simulator):
 
     def _numbers(self, values: Array, fields: Sequence[str]) -> dict[str, Array]:
         """The numbers (K, ...) of fields under each parameter vector."""
-        worker = Worker(self.cpu.simulated, self.cpu.bindings)
+        worker = self._worker
         found = {
             name: np.empty((len(values), *_numbers_of(self._model, name).shape)) for name in fields
         }
@@ -268,22 +266,26 @@ class _Task:
         """Physics states (N, 1 + nq + nv + na) at the measured starts of all segments."""
         return self._layout.full_states(self.segments.starts, self._model)
 
-    def start_states(self, draw: Ints, own: Ints) -> Array:
-        """Physics states (W, 1 + nq + nv + na) at the starts of segments, or where others ended."""
+    def start_states(self, draws: slice, own: Ints) -> Array:
+        """Physics states (N, K, s), or (N, 1, s) where the same for all values, in which segments
+        start: the measured ones, or where others ended.
+        """
         segments = self.segments
         before = segments.previous[own]
         goes_on = self._ends is not None and before[0] >= 0
         if self._offsets is None and not goes_on:
-            return self._measured[own]
-        starts = segments.starts[own]
+            return self._measured[own][:, None]
+        values = draws.stop - draws.start
+        starts = np.repeat(segments.starts[own], values, axis=0)
         if self._offsets is not None:
-            starts = self._layout.move(starts, self._offsets[draw, own])
+            starts = self._layout.move(starts, _by_segment(self._offsets, draws, own))
         if self._ends is None or not goes_on:
-            return self._layout.full_states(starts, self._model)
-        states = self._ends[draw, before]
-        states[:, 0] = 0.0
-        self._layout.write_start(states, starts, segments.set_columns, self._model)
-        return states
+            states = self._layout.full_states(starts, self._model)
+        else:
+            states = _by_segment(self._ends, draws, before)
+            states[:, 0] = 0.0
+            self._layout.write_start(states, starts, segments.set_columns, self._model)
+        return states.reshape(len(own), values, -1)
 
     def keep(self, draws: slice, own: Ints, states: Array, sensors: Array | None) -> None:
         """Write the states (W, L or 1, s) and sensor data of W worlds where they belong."""
@@ -297,6 +299,11 @@ class _Task:
         self.out[draws, rows.ravel()] = by_value
         if self._ends is not None:
             self._ends[draws, own] = states[:, -1].reshape(len(own), values, -1).swapaxes(0, 1)
+
+
+def _by_segment(rows: Array, draws: slice, own: Ints) -> Array:
+    """Rows (N K, s) of some values and segments, of all (V, M, s): values vary fastest."""
+    return rows[draws][:, own].swapaxes(0, 1).reshape(-1, rows.shape[-1])
 
 
 def _numbers_of(model: mujoco.MjModel, name: str) -> Array:

@@ -33,8 +33,8 @@ more would have nothing to do, and wait for each other.
 class Room:
     """What is held for a world at most; what is held and not needed costs time."""
 
-    contacts: int = 2
-    rows: int = 16
+    contacts: int = 8
+    rows: int = 32
 
     def double(self) -> None:
         """Hold twice as much."""
@@ -155,10 +155,10 @@ class Worlds:
         ----------
         fields : dict of str to (K, ...) array
             Numbers by field, of the fields and of the K of the beginning.
-        states : (W, 1 + nq + nv + na) array
-            Physics states.
-        commands : (W, L, nu) array
-            Commands of L actions.
+        states : (N, K or 1, 1 + nq + nv + na) array
+            Physics states of N times K worlds.
+        commands : (N, L, nu) array
+            Commands of L actions, the same in K worlds.
         every : bool
             Whether what follows every action is kept, or what follows the last alone.
         sensors : bool
@@ -176,7 +176,7 @@ class Worlds:
 
         states, commands, every, sensors = self._asked
         data = self._data
-        actions = commands.shape[1]
+        places, actions, _ = commands.shape
         with self._queue():
             for array, fresh in self._fresh:
                 wp.copy(array, fresh)
@@ -186,7 +186,8 @@ class Worlds:
             for name in STATE[1:]:
                 staged = self._staged[name]
                 if staged.size:
-                    staged.numpy()[:] = states[:, place : place + staged.shape[1]]
+                    own = states[..., place : place + staged.shape[1]]
+                    staged.numpy().reshape(places, -1, staged.shape[1])[:] = own
                     wp.copy(getattr(data, name), staged)
                 place += staged.shape[1]
             by_action = self._stage_commands(commands)
@@ -206,12 +207,14 @@ class Worlds:
 
     def _stage_commands(self, commands: Array) -> Any:
         """The commands on the host, (L, W, nu)."""
-        shape = (commands.shape[1], commands.shape[0], commands.shape[2])
+        places, actions, size = commands.shape
+        shape = (actions, self._count, size)
         staged = self._staged.get("commands")
         if staged is None or staged.shape != shape:
             staged = self._staged["commands"] = self._on_host(shape, float)
         if staged.size:
-            staged.numpy()[:] = commands.swapaxes(0, 1)
+            by_action = commands.swapaxes(0, 1)[:, :, None]
+            staged.numpy().reshape(actions, places, -1, size)[:] = by_action
         return staged
 
     def _on_host(self, shape: tuple[int, ...], kind: Any) -> Any:
