@@ -19,7 +19,7 @@ from dropo.core.services.validation import Array, require
 from dropo.mjmodel.fields import OPTION
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 from dropo.simulators.mujoco.worker import Worker
-from dropo.simulators.warp.worlds import Room, Worlds, key_of, put_model
+from dropo.simulators.warp.worlds import Room, Worlds, put_model
 
 KEPT = 4
 """Of how many sizes worlds are kept for the next prediction."""
@@ -81,7 +81,7 @@ class WarpSimulator(Simulator):
         self._model = copy.copy(cpu.model)
         # Warp resets no world by itself.
         self._model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-        self._made: dict[tuple[object, ...], list[Worlds]] = {}
+        self._made: dict[tuple[int, int], list[Worlds]] = {}
         self._room = Room()
         self._worker = Worker(cpu.simulated, cpu.bindings)
         batched = self._fields_by_world()
@@ -169,7 +169,7 @@ class WarpSimulator(Simulator):
         """As `_fill`, all at once: world w has the w % K-th of the K values."""
         segments = task.segments
         fields = task.fields_of(draws)
-        worlds = self._worlds_for(fields, len(own) * (draws.stop - draws.start))
+        worlds = self._worlds_for(fields, draws.stop - draws.start, len(own))
         worlds.begin(
             fields,
             task.start_states(draws, own),
@@ -185,15 +185,16 @@ class WarpSimulator(Simulator):
         """Keep what the first of those found that have begun."""
         worlds, draws, own = task.begun.pop(0)
         task.keep(draws, own, *worlds.end())
-        self._made.setdefault(worlds.key, []).append(worlds)
+        self._made.setdefault((draws.stop - draws.start, len(own)), []).append(worlds)
 
-    def _worlds_for(self, fields: dict[str, Array], count: int) -> Worlds:
-        """So many worlds with these fields, from before where there are such."""
-        waiting = self._made.get(key_of(fields, count))
+    def _worlds_for(self, fields: dict[str, Array], values: int, segments: int) -> Worlds:
+        """Worlds for so many values and segments, from before where there are such."""
+        waiting = self._made.get((values, segments))
         if waiting:
             return waiting.pop()
         if len(self._made) > KEPT:
             del self._made[next(iter(self._made))]
+        count = values * segments
         return Worlds(self._model, fields, count, self.device, self.steps_per_action, self._room)
 
     # --- the model in Warp

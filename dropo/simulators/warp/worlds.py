@@ -78,16 +78,14 @@ class Worlds:
         import warp as wp
 
         self.room = room
-        self.key = key_of(fields, count)
         self._model = model
         self._count = count
         self._device = device
         self._on_gpu = wp.get_device(device).is_cuda
         self._stream = wp.Stream(device) if self._on_gpu else None
         self._steps = steps
-        rows = {name: len(array) for name, array in fields.items()}
-        held = {name: size for name, size in rows.items() if not name.startswith(OPTION)}
-        self._held = put_model(model, device, held)
+        rows = {name: len(own) for name, own in fields.items() if not name.startswith(OPTION)}
+        self._held = put_model(model, device, rows)
         self._arrays = self._own_arrays(fields)
         self._copies: dict[str, Any] = {}
         self._staged: dict[str, Any] = {
@@ -283,24 +281,6 @@ class Worlds:
             return
         for _ in range(self._steps):
             mujoco_warp.step(self._held, self._data)
-
-
-def key_of(fields: Mapping[str, Array], count: int) -> tuple[object, ...]:
-    """Say which worlds may simulate others' numbers: as many, with as many rows in each field.
-
-    Parameters
-    ----------
-    fields : dict of str to (K, ...) array
-        Numbers by field.
-    count : int
-        The number of worlds.
-
-    Returns
-    -------
-    tuple
-        The same for worlds that may stand for each other.
-    """
-    return (count, *((name, len(array)) for name, array in fields.items()))
 
 
 def put_model(model: mujoco.MjModel, device: str, rows: dict[str, int]) -> Any:
