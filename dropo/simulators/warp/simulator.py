@@ -138,7 +138,7 @@ class WarpSimulator(Simulator):
                 self._fill(task, slice(0, len(values)), own)
             while task.begun:
                 self._finish(task)
-        return task.out
+        return task.by_row.transpose(2, 0, 1)
 
     def _fill(self, task: "_Task", draws: slice, own: Ints) -> None:
         """Begin some segments of one length with some of the values, in halves where needed."""
@@ -168,10 +168,9 @@ class WarpSimulator(Simulator):
     def _begin(self, task: "_Task", draws: slice, own: Ints) -> None:
         """As `_fill`, all at once: world w has the w % K-th of the K values."""
         segments = task.segments
-        fields = task.fields_of(draws)
-        worlds = self._worlds_for(fields, draws.stop - draws.start, len(own))
+        worlds = self._worlds_for(task, draws, own)
         worlds.begin(
-            fields,
+            task.fields_of(draws),
             task.start_states(draws, own),
             task.commands[own, : segments.lengths[own[0]]],
             every=segments.every_step,
@@ -187,15 +186,23 @@ class WarpSimulator(Simulator):
         task.keep(draws, own, *worlds.end())
         self._made.setdefault((draws.stop - draws.start, len(own)), []).append(worlds)
 
-    def _worlds_for(self, fields: dict[str, Array], values: int, segments: int) -> Worlds:
-        """Worlds for so many values and segments, from before where there are such."""
-        waiting = self._made.get((values, segments))
+    def _worlds_for(self, task: "_Task", draws: slice, own: Ints) -> Worlds:
+        """Worlds for values and segments, from before where there are such."""
+        values = draws.stop - draws.start
+        waiting = self._made.get((values, len(own)))
         if waiting:
-            return waiting.pop()
+            return waiting.pop(0)
         if len(self._made) > KEPT:
             del self._made[next(iter(self._made))]
-        count = values * segments
-        return Worlds(self._model, fields, count, self.device, self.steps_per_action, self._room)
+        return Worlds(
+            self._model,
+            task.fields_of(draws),
+            values * len(own),
+            self.device,
+            self.steps_per_action,
+            self._room,
+            urgent=2 * len(task.begun) < AHEAD,
+        )
 
     # --- the model in Warp
 
@@ -243,7 +250,8 @@ class _Task:
         self._values = values
         self._fields: dict[tuple[int, int], dict[str, Array]] = {}
         self.commands = simulator.cpu.commands_of(segments.actions)
-        self.out = np.empty((len(values), len(segments.rows[0]), len(simulator.signals)))
+        # The values side by side, as moments over them are computed fastest.
+        self.by_row = np.empty((len(segments.rows[0]), len(simulator.signals), len(values)))
         self._layout = simulator.cpu.layout
         self._model = simulator.cpu.model
         self._offsets = offsets
@@ -295,9 +303,8 @@ class _Task:
         values = draws.stop - draws.start
         shape = (len(own), values, *seen.shape[1:])
         measured = self._targets[rows][:, None]
-        found = self._layout.coordinates(seen.reshape(shape), measured)
-        by_value = found.swapaxes(0, 1).reshape(values, rows.size, -1)
-        self.out[draws, rows.ravel()] = by_value
+        found = self._layout.coordinates(seen.reshape(shape), measured).transpose(0, 2, 3, 1)
+        self.by_row[rows.ravel(), :, draws] = found.reshape(rows.size, -1, values)
         if self._ends is not None:
             self._ends[draws, own] = states[:, -1].reshape(len(own), values, -1).swapaxes(0, 1)
 

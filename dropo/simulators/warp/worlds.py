@@ -59,6 +59,8 @@ class Worlds:
         Physics steps of an action.
     room : Room
         For contacts and constraints; it grows where a world needs more.
+    urgent : bool
+        Whether a GPU serves them before others: they end, and are read, while others go on.
 
     Raises
     ------
@@ -74,6 +76,8 @@ class Worlds:
         device: str,
         steps: int,
         room: Room,
+        *,
+        urgent: bool,
     ):
         import warp as wp
 
@@ -82,7 +86,7 @@ class Worlds:
         self._count = count
         self._device = device
         self._on_gpu = wp.get_device(device).is_cuda
-        self._stream = wp.Stream(device) if self._on_gpu else None
+        self._stream = wp.Stream(device, priority=-int(urgent)) if self._on_gpu else None
         self._steps = steps
         rows = {name: len(own) for name, own in fields.items() if not name.startswith(OPTION)}
         self._held = put_model(model, device, rows)
@@ -129,7 +133,7 @@ class Worlds:
                 own = getattr(self._data, name)
                 self._staged[name] = self._on_host(own.shape, own.dtype)
             carried = [getattr(self._data, name) for name in CARRIED if hasattr(self._data, name)]
-            self._fresh = [(array, wp.clone(array)) for array in carried]
+            self._fresh = [(array, wp.clone(array)) for array in carried if array.size]
             if not self._on_gpu:
                 return
             mujoco_warp.step(self._held, self._data)  # compiles what no capture can compile
@@ -266,7 +270,7 @@ class Worlds:
         found["time"] = found["time"][..., None]
         parts = [found[name] for name in STATE if name in found]
         states = np.concatenate(parts, axis=-1).swapaxes(0, 1)
-        if not np.abs(states).max() < MAX_STATE:
+        if not (states.max() < MAX_STATE and states.min() > -MAX_STATE):
             states[~(np.abs(states) < MAX_STATE).all(axis=-1)] = np.nan
         sensors = found.get("sensordata")
         return states, None if sensors is None else sensors.swapaxes(0, 1)
@@ -313,6 +317,9 @@ def put_model(model: mujoco.MjModel, device: str, rows: dict[str, int]) -> Any:
     except NotImplementedError as error:
         where = element_of_type(model, str(error))
         raise Incompatible(f"Warp cannot hold {where}: {error}") from None
+    held.nlight = 0
+    if not model.nsensor:  # nor one of a camera
+        held.ncam = 0
     if model.nv <= SMALL:
         for name in ("update_gradient_JTDAJ_dense", "update_gradient_cholesky", "small_cholesky"):
             setattr(held.block_dim, name, 32)
