@@ -168,9 +168,10 @@ class WarpSimulator(Simulator):
     def _begin(self, task: "_Task", draws: slice, own: Ints) -> None:
         """As `_fill`, all at once: world w has the w % K-th of the K values."""
         segments = task.segments
-        worlds = self._worlds_for(task, draws, own)
+        fields = task.fields_of(draws)
+        worlds = self._worlds_for(fields, draws.stop - draws.start, len(own))
         worlds.begin(
-            task.fields_of(draws),
+            fields,
             task.start_states(draws, own),
             task.commands[own, : segments.lengths[own[0]]],
             every=segments.every_step,
@@ -186,23 +187,15 @@ class WarpSimulator(Simulator):
         task.keep(draws, own, *worlds.end())
         self._made.setdefault((draws.stop - draws.start, len(own)), []).append(worlds)
 
-    def _worlds_for(self, task: "_Task", draws: slice, own: Ints) -> Worlds:
-        """Worlds for values and segments, from before where there are such."""
-        values = draws.stop - draws.start
-        waiting = self._made.get((values, len(own)))
+    def _worlds_for(self, fields: dict[str, Array], values: int, segments: int) -> Worlds:
+        """Worlds for so many values and segments, from before where there are such."""
+        waiting = self._made.get((values, segments))
         if waiting:
-            return waiting.pop(0)
+            return waiting.pop()
         if len(self._made) > KEPT:
             del self._made[next(iter(self._made))]
-        return Worlds(
-            self._model,
-            task.fields_of(draws),
-            values * len(own),
-            self.device,
-            self.steps_per_action,
-            self._room,
-            urgent=2 * len(task.begun) < AHEAD,
-        )
+        count = values * segments
+        return Worlds(self._model, fields, count, self.device, self.steps_per_action, self._room)
 
     # --- the model in Warp
 

@@ -59,8 +59,6 @@ class Worlds:
         Physics steps of an action.
     room : Room
         For contacts and constraints; it grows where a world needs more.
-    urgent : bool
-        Whether a GPU serves them before others: they end, and are read, while others go on.
 
     Raises
     ------
@@ -76,8 +74,6 @@ class Worlds:
         device: str,
         steps: int,
         room: Room,
-        *,
-        urgent: bool,
     ):
         import warp as wp
 
@@ -86,7 +82,7 @@ class Worlds:
         self._count = count
         self._device = device
         self._on_gpu = wp.get_device(device).is_cuda
-        self._stream = wp.Stream(device, priority=-int(urgent)) if self._on_gpu else None
+        self._stream = wp.Stream(device) if self._on_gpu else None
         self._steps = steps
         rows = {name: len(own) for name, own in fields.items() if not name.startswith(OPTION)}
         self._held = put_model(model, device, rows)
