@@ -39,8 +39,6 @@ PROBLEMS: dict[str, Callable[[], Problem]] = {
 WORLDS = (1_000, 10_000, 100_000)
 OF_A_FIT = ("evaluations", "steps", "seconds", "mean", "mean_se", "log_likelihood")
 """What is kept of the published method's fit."""
-AT_A_TIME = 51_000
-"""Worlds of the published method: half of the draws of one distribution on all transitions."""
 
 
 def device() -> str | None:
@@ -52,13 +50,6 @@ def device() -> str | None:
     wp.config.log_level = wp.LOG_ERROR  # else its greeting is printed, too
     there = [device for device in wp.get_devices() if device.is_cuda]
     return str(there[0].name) if there else None
-
-
-def on_gpu(problem: Problem, worlds: int) -> Problem:
-    """The problem simulated by Warp, so many worlds at a time."""
-    changed = problem.using(simulator="warp")
-    changed.simulator.worlds = worlds  # type: ignore[attr-defined]
-    return changed
 
 
 def rate(simulator: Simulator, problem: Problem, worlds: int) -> float:
@@ -78,8 +69,8 @@ def measure_rates() -> None:
     """Keep the steps per second of each problem with each number of worlds."""
     for name, made in PROBLEMS.items():
         problem = made()
+        pair = (problem.simulator, problem.using(simulator="warp").simulator)
         for worlds in WORLDS:
-            pair = (problem.simulator, on_gpu(problem, worlds).simulator)
             rates = [rate(simulator, problem, worlds) for simulator in pair]
             keep("rates", f"{name} | {worlds:,}", rates)
 
@@ -87,7 +78,7 @@ def measure_rates() -> None:
 def measure_published(data: str = "noisy") -> None:
     """Keep what the published method finds in the first data set of table 6.1, all evaluations."""
     problem, drawn = data_set("6.1", data, 0)
-    row = found(estimator(AS_PUBLISHED, FULL).fit(on_gpu(problem, AT_A_TIME), rng=0))
+    row = found(estimator(AS_PUBLISHED, FULL).fit(problem.using(simulator="warp"), rng=0))
     told = {name: row[name] for name in OF_A_FIT}
     keep("published", data, told | {"drawn": drawn[0].tolist()})
 

@@ -19,12 +19,12 @@ from dropo.core.services.validation import Array, require
 from dropo.mjmodel.fields import OPTION
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 from dropo.simulators.mujoco.worker import Worker
-from dropo.simulators.warp.worlds import Room, Worlds, key_of, put_model
+from dropo.simulators.warp.worlds import Room, Worlds, put_model
 
 KEPT = 4
 """Of how many sizes worlds are kept for the next prediction."""
 
-AHEAD = 2
+AHEAD = 3
 """How many sets of worlds a GPU simulates, or has simulated, while another is prepared."""
 
 ON_THE_CPU = (
@@ -81,8 +81,9 @@ class WarpSimulator(Simulator):
         self._model = copy.copy(cpu.model)
         # Warp resets no world by itself.
         self._model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-        self._made: dict[tuple[object, ...], list[Worlds]] = {}
+        self._made: dict[tuple[int, int], list[Worlds]] = {}
         self._room = Room()
+        self._worker = Worker(cpu.simulated, cpu.bindings)
         batched = self._fields_by_world()
         for binding in cpu.bindings:
             for field, _, _ in binding.entries(cpu.model):
@@ -137,7 +138,7 @@ class WarpSimulator(Simulator):
                 self._fill(task, slice(0, len(values)), own)
             while task.begun:
                 self._finish(task)
-        return task.out
+        return task.by_row.transpose(2, 0, 1)
 
     def _fill(self, task: "_Task", draws: slice, own: Ints) -> None:
         """Begin some segments of one length with some of the values, in halves where needed."""
@@ -155,27 +156,24 @@ class WarpSimulator(Simulator):
             self.worlds = -(-count // 2)
             sentence = f"{self.device} has no memory for {count} worlds: going on with"
             warnings.warn(f"{sentence} {self.worlds}.", DropoWarning, stacklevel=2)
-        if len(own) > 1:
-            middle = -(-len(own) // 2)
-            self._fill(task, draws, own[:middle])
-            self._fill(task, draws, own[middle:])
-        else:
+        if values > 1:
             middle = draws.start - (-values // 2)
             self._fill(task, slice(draws.start, middle), own)
             self._fill(task, slice(middle, draws.stop), own)
+        else:
+            middle = -(-len(own) // 2)
+            self._fill(task, draws, own[:middle])
+            self._fill(task, draws, own[middle:])
 
     def _begin(self, task: "_Task", draws: slice, own: Ints) -> None:
         """As `_fill`, all at once: world w has the w % K-th of the K values."""
-        values = draws.stop - draws.start
-        place, draw = np.divmod(np.arange(values * len(own)), values)
-        fields = {name: rows[draws] for name, rows in task.fields.items()}
-        worlds = self._worlds_for(fields, len(draw))
-        chosen = own[place]
         segments = task.segments
+        fields = task.fields_of(draws)
+        worlds = self._worlds_for(fields, draws.stop - draws.start, len(own))
         worlds.begin(
             fields,
-            task.start_states(draws.start + draw, chosen),
-            task.commands[chosen, : segments.lengths[own[0]]],
+            task.start_states(draws, own),
+            task.commands[own, : segments.lengths[own[0]]],
             every=segments.every_step,
             sensors=self.cpu.layout.needs_sensors,
         )
@@ -187,15 +185,16 @@ class WarpSimulator(Simulator):
         """Keep what the first of those found that have begun."""
         worlds, draws, own = task.begun.pop(0)
         task.keep(draws, own, *worlds.end())
-        self._made.setdefault(worlds.key, []).append(worlds)
+        self._made.setdefault((draws.stop - draws.start, len(own)), []).append(worlds)
 
-    def _worlds_for(self, fields: dict[str, Array], count: int) -> Worlds:
-        """So many worlds with these fields, from before where there are such."""
-        waiting = self._made.get(key_of(fields, count))
+    def _worlds_for(self, fields: dict[str, Array], values: int, segments: int) -> Worlds:
+        """Worlds for so many values and segments, from before where there are such."""
+        waiting = self._made.get((values, segments))
         if waiting:
             return waiting.pop()
         if len(self._made) > KEPT:
             del self._made[next(iter(self._made))]
+        count = values * segments
         return Worlds(self._model, fields, count, self.device, self.steps_per_action, self._room)
 
     # --- the model in Warp
@@ -222,7 +221,7 @@ class WarpSimulator(Simulator):
 
     def _numbers(self, values: Array, fields: Sequence[str]) -> dict[str, Array]:
         """The numbers (K, ...) of fields under each parameter vector."""
-        worker = Worker(self.cpu.simulated, self.cpu.bindings)
+        worker = self._worker
         found = {
             name: np.empty((len(values), *_numbers_of(self._model, name).shape)) for name in fields
         }
@@ -240,9 +239,12 @@ class _Task:
         self, simulator: WarpSimulator, values: Array, segments: Segments, offsets: Array | None
     ):
         self.segments = segments
-        self.fields = simulator._numbers(values, simulator._moved)
+        self._simulator = simulator
+        self._values = values
+        self._fields: dict[tuple[int, int], dict[str, Array]] = {}
         self.commands = simulator.cpu.commands_of(segments.actions)
-        self.out = np.empty((len(values), len(segments.rows[0]), len(simulator.signals)))
+        # The values side by side, as moments over them are computed fastest.
+        self.by_row = np.empty((len(segments.rows[0]), len(simulator.signals), len(values)))
         self._layout = simulator.cpu.layout
         self._model = simulator.cpu.model
         self._offsets = offsets
@@ -253,27 +255,39 @@ class _Task:
         chained = len(segments.levels) > 1
         self._ends = np.empty((len(values), len(segments), size)) if chained else None
 
+    def fields_of(self, draws: slice) -> dict[str, Array]:
+        """The numbers (K, ...) by field of some of the values; computed when first asked for."""
+        simulator = self._simulator
+        key = (draws.start, draws.stop)
+        if key not in self._fields:
+            self._fields[key] = simulator._numbers(self._values[draws], simulator._moved)
+        return self._fields[key]
+
     @cached_property
     def _measured(self) -> Array:
         """Physics states (N, 1 + nq + nv + na) at the measured starts of all segments."""
         return self._layout.full_states(self.segments.starts, self._model)
 
-    def start_states(self, draw: Ints, own: Ints) -> Array:
-        """Physics states (W, 1 + nq + nv + na) at the starts of segments, or where others ended."""
+    def start_states(self, draws: slice, own: Ints) -> Array:
+        """Physics states (N, K, s), or (N, 1, s) where the same for all values, in which segments
+        start: the measured ones, or where others ended.
+        """
         segments = self.segments
         before = segments.previous[own]
         goes_on = self._ends is not None and before[0] >= 0
         if self._offsets is None and not goes_on:
-            return self._measured[own]
-        starts = segments.starts[own]
+            return self._measured[own][:, None]
+        values = draws.stop - draws.start
+        starts = np.repeat(segments.starts[own], values, axis=0)
         if self._offsets is not None:
-            starts = self._layout.move(starts, self._offsets[draw, own])
+            starts = self._layout.move(starts, _by_segment(self._offsets, draws, own))
         if self._ends is None or not goes_on:
-            return self._layout.full_states(starts, self._model)
-        states = self._ends[draw, before]
-        states[:, 0] = 0.0
-        self._layout.write_start(states, starts, segments.set_columns, self._model)
-        return states
+            states = self._layout.full_states(starts, self._model)
+        else:
+            states = _by_segment(self._ends, draws, before)
+            states[:, 0] = 0.0
+            self._layout.write_start(states, starts, segments.set_columns, self._model)
+        return states.reshape(len(own), values, -1)
 
     def keep(self, draws: slice, own: Ints, states: Array, sensors: Array | None) -> None:
         """Write the states (W, L or 1, s) and sensor data of W worlds where they belong."""
@@ -282,11 +296,15 @@ class _Task:
         values = draws.stop - draws.start
         shape = (len(own), values, *seen.shape[1:])
         measured = self._targets[rows][:, None]
-        found = self._layout.coordinates(seen.reshape(shape), measured)
-        by_value = found.swapaxes(0, 1).reshape(values, rows.size, -1)
-        self.out[draws, rows.ravel()] = by_value
+        found = self._layout.coordinates(seen.reshape(shape), measured).transpose(0, 2, 3, 1)
+        self.by_row[rows.ravel(), :, draws] = found.reshape(rows.size, -1, values)
         if self._ends is not None:
             self._ends[draws, own] = states[:, -1].reshape(len(own), values, -1).swapaxes(0, 1)
+
+
+def _by_segment(rows: Array, draws: slice, own: Ints) -> Array:
+    """Rows (N K, s) of some values and segments, of all (V, M, s): values vary fastest."""
+    return rows[draws][:, own].swapaxes(0, 1).reshape(-1, rows.shape[-1])
 
 
 def _numbers_of(model: mujoco.MjModel, name: str) -> Array:

@@ -1,6 +1,7 @@
 """Worlds of a model in MuJoCo Warp, which are made once and simulated again and again."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,6 +22,11 @@ CARRIED = ("time", "qacc_warmstart", "overflow", "history")
 
 STATE = ("time", "qpos", "qvel", "act")
 """Warp's fields of a physics state, in its order."""
+
+SMALL = 16
+"""Up to how many degrees of freedom a world's matrices take the threads of one warp, not of four:
+more would have nothing to do, and wait for each other.
+"""
 
 
 @dataclass
@@ -72,21 +78,28 @@ class Worlds:
         import warp as wp
 
         self.room = room
-        self.key = key_of(fields, count)
         self._model = model
         self._count = count
         self._device = device
         self._on_gpu = wp.get_device(device).is_cuda
+        self._stream = wp.Stream(device) if self._on_gpu else None
         self._steps = steps
-        rows = {name: len(array) for name, array in fields.items()}
-        held = {name: size for name, size in rows.items() if not name.startswith(OPTION)}
-        self._held = put_model(model, device, held)
+        rows = {name: len(own) for name, own in fields.items() if not name.startswith(OPTION)}
+        self._held = put_model(model, device, rows)
         self._arrays = self._own_arrays(fields)
         self._copies: dict[str, Any] = {}
         self._staged: dict[str, Any] = {
             name: self._on_host(array.shape, array.dtype) for name, array in self._arrays.items()
         }
         self._make_room()
+
+    @contextmanager
+    def _queue(self) -> Iterator[None]:
+        """The device, and a queue that others' work does not wait for."""
+        import warp as wp
+
+        with wp.ScopedDevice(self._device), wp.ScopedStream(self._stream):
+            yield
 
     def _own_arrays(self, fields: Mapping[str, Array]) -> dict[str, Any]:
         """Arrays of rows of their own, by field, in the place of those that Warp made."""
@@ -108,7 +121,7 @@ class Worlds:
 
         self._graph = None
         contacts, rows = self._held_room = (self.room.contacts, self.room.rows)
-        with wp.ScopedDevice(self._device):
+        with self._queue():
             self._data = mujoco_warp.make_data(
                 self._model, nworld=self._count, nconmax=contacts, njmax=rows
             )
@@ -116,7 +129,7 @@ class Worlds:
                 own = getattr(self._data, name)
                 self._staged[name] = self._on_host(own.shape, own.dtype)
             carried = [getattr(self._data, name) for name in CARRIED if hasattr(self._data, name)]
-            self._fresh = [(array, wp.clone(array)) for array in carried]
+            self._fresh = [(array, wp.clone(array)) for array in carried if array.size]
             if not self._on_gpu:
                 return
             mujoco_warp.step(self._held, self._data)  # compiles what no capture can compile
@@ -140,10 +153,10 @@ class Worlds:
         ----------
         fields : dict of str to (K, ...) array
             Numbers by field, of the fields and of the K of the beginning.
-        states : (W, 1 + nq + nv + na) array
-            Physics states.
-        commands : (W, L, nu) array
-            Commands of L actions.
+        states : (N, K or 1, 1 + nq + nv + na) array
+            Physics states of N times K worlds.
+        commands : (N, L, nu) array
+            Commands of L actions, the same in K worlds.
         every : bool
             Whether what follows every action is kept, or what follows the last alone.
         sensors : bool
@@ -161,8 +174,8 @@ class Worlds:
 
         states, commands, every, sensors = self._asked
         data = self._data
-        actions = commands.shape[1]
-        with wp.ScopedDevice(self._device):
+        places, actions, _ = commands.shape
+        with self._queue():
             for array, fresh in self._fresh:
                 wp.copy(array, fresh)
             for name, array in self._arrays.items():
@@ -171,7 +184,8 @@ class Worlds:
             for name in STATE[1:]:
                 staged = self._staged[name]
                 if staged.size:
-                    staged.numpy()[:] = states[:, place : place + staged.shape[1]]
+                    own = states[..., place : place + staged.shape[1]]
+                    staged.numpy().reshape(places, -1, staged.shape[1])[:] = own
                     wp.copy(getattr(data, name), staged)
                 place += staged.shape[1]
             by_action = self._stage_commands(commands)
@@ -191,12 +205,14 @@ class Worlds:
 
     def _stage_commands(self, commands: Array) -> Any:
         """The commands on the host, (L, W, nu)."""
-        shape = (commands.shape[1], commands.shape[0], commands.shape[2])
+        places, actions, size = commands.shape
+        shape = (actions, self._count, size)
         staged = self._staged.get("commands")
         if staged is None or staged.shape != shape:
             staged = self._staged["commands"] = self._on_host(shape, float)
         if staged.size:
-            staged.numpy()[:] = commands.swapaxes(0, 1)
+            by_action = commands.swapaxes(0, 1)[:, :, None]
+            staged.numpy().reshape(actions, places, -1, size)[:] = by_action
         return staged
 
     def _on_host(self, shape: tuple[int, ...], kind: Any) -> Any:
@@ -250,7 +266,7 @@ class Worlds:
         found["time"] = found["time"][..., None]
         parts = [found[name] for name in STATE if name in found]
         states = np.concatenate(parts, axis=-1).swapaxes(0, 1)
-        if not np.abs(states).max() < MAX_STATE:
+        if not (states.max() < MAX_STATE and states.min() > -MAX_STATE):
             states[~(np.abs(states) < MAX_STATE).all(axis=-1)] = np.nan
         sensors = found.get("sensordata")
         return states, None if sensors is None else sensors.swapaxes(0, 1)
@@ -265,24 +281,6 @@ class Worlds:
             return
         for _ in range(self._steps):
             mujoco_warp.step(self._held, self._data)
-
-
-def key_of(fields: Mapping[str, Array], count: int) -> tuple[object, ...]:
-    """Say which worlds may simulate others' numbers: as many, with as many rows in each field.
-
-    Parameters
-    ----------
-    fields : dict of str to (K, ...) array
-        Numbers by field.
-    count : int
-        The number of worlds.
-
-    Returns
-    -------
-    tuple
-        The same for worlds that may stand for each other.
-    """
-    return (count, *((name, len(array)) for name, array in fields.items()))
 
 
 def put_model(model: mujoco.MjModel, device: str, rows: dict[str, int]) -> Any:
@@ -311,7 +309,14 @@ def put_model(model: mujoco.MjModel, device: str, rows: dict[str, int]) -> Any:
 
     try:
         with wp.ScopedDevice(device):
-            return mujoco_warp.put_model(model, batch_sizes=rows)
+            held = mujoco_warp.put_model(model, batch_sizes=rows)
     except NotImplementedError as error:
         where = element_of_type(model, str(error))
         raise Incompatible(f"Warp cannot hold {where}: {error}") from None
+    held.nlight = 0
+    if not model.nsensor:  # nor one of a camera
+        held.ncam = 0
+    if model.nv <= SMALL:
+        for name in ("update_gradient_JTDAJ_dense", "update_gradient_cholesky", "small_cholesky"):
+            setattr(held.block_dim, name, 32)
+    return held
