@@ -3,6 +3,7 @@
 A gain is the increase of the log-likelihood of the same windows from one model to another [nats].
 """
 
+from collections.abc import Collection
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -125,6 +126,37 @@ class SelectionSettings:
             On the windows held out [nats].
         """
         return float(np.log(max(effects, 1) / self.false_alarm))
+
+    def more_usual_by(self, effects: Collection[str], others: Collection[str]) -> float:
+        """Return by how much some effects are more usual than as many others.
+
+        Parameters
+        ----------
+        effects, others : collection of str
+            Their names.
+
+        Returns
+        -------
+        float
+            Difference of log odds [nats].
+        """
+        odds = self.plausibility
+        return sum(odds.of(name) for name in effects) - sum(odds.of(name) for name in others)
+
+    def margin(self, more_usual: float) -> float:
+        """Return the nats by which less usual effects must be better than as many others.
+
+        Parameters
+        ----------
+        more_usual : float
+            By how much one side is more usual than the other, as of `more_usual_by`.
+
+        Returns
+        -------
+        float
+        """
+        clearly = abs(more_usual) >= self.more_usual
+        return self.usual_margin if clearly else self.negligible_gain
 
 
 SETTINGS = SelectionSettings()

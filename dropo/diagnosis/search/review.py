@@ -162,7 +162,6 @@ def _better_alternative(
     windows held out do not say that it is worse; None if none is.
     """
     settings = selection.settings
-    odds = settings.plausibility
     if reviewed.origin is None:
         return None
     with_effect = penalized_log_likelihood(state)
@@ -175,10 +174,8 @@ def _better_alternative(
             continue
         polished = selection.polish(trial.state)
         alternative = trial.candidate.instance
-        more_usual = odds.of(alternative.effect) - odds.of(instance.effect)
-        margin = settings.negligible_gain
-        if abs(more_usual) >= settings.more_usual:
-            margin = settings.usual_margin
+        more_usual = settings.more_usual_by([alternative.effect], [instance.effect])
+        margin = settings.margin(more_usual)
         if more_usual >= settings.more_usual:
             better = not _is_better(polished, state, margin, settings)
         else:

@@ -230,10 +230,11 @@ class SetSearch:
     def _first_better(self, best: State, tried: Sequence[State]) -> State | None:
         """The first of some models that is better than the best, for certain, fitted to the end."""
         selection = self.selection
-        needed = penalized_log_likelihood(best) + selection.settings.negligible_gain
+        before = penalized_log_likelihood(best)
         for trial in tried:
-            if not penalized_log_likelihood(trial) > needed:
+            if not penalized_log_likelihood(trial) > before + selection.settings.negligible_gain:
                 return None
+            needed = before + self._margin(best, trial)
             new = [one for one in trial.accepted if one not in best.accepted]
             if any(self._only_by_feedback(trial, one) for one in new):
                 continue
@@ -242,6 +243,16 @@ class SetSearch:
             if is_better and self._confirmed(best, polished):
                 return polished
         return None
+
+    def _margin(self, best: State, other: State) -> float:
+        """By how many nats a model must be better: more where as many effects are less usual."""
+        settings = self.selection.settings
+        gone = [one.effect for one in best.accepted if one not in other.accepted]
+        new = [one.effect for one in other.accepted if one not in best.accepted]
+        more_usual = settings.more_usual_by(new, gone)
+        if len(new) != len(gone) or more_usual > 0:
+            return settings.negligible_gain
+        return settings.margin(more_usual)
 
     def _confirmed(self, best: State, other: State) -> bool:
         """Whether windows held out confirm a model in the place of another.

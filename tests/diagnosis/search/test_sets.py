@@ -1,9 +1,12 @@
 """Sets of effects in the place of the one that a search ended with, on a line of masses."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from dropo.diagnosis.search.aliases import AliasSettings, beside_the_rest
+from dropo.diagnosis.search.plausibility import Plausibility
 from dropo.diagnosis.search.review import ambiguity, review
 from dropo.diagnosis.search.screening import Candidate
 from dropo.diagnosis.search.sets import SetSearch, gram_of
@@ -43,6 +46,18 @@ def test_a_wrong_set_is_exchanged_at_once(wrong):
     sizes = [found.theta[search.library.indices_of[one.label]][0] for one in found.accepted]
     wanted = [HIDDEN[one.effect] for one in found.accepted]
     np.testing.assert_allclose(sizes, wanted, rtol=0.05)
+
+
+@pytest.mark.parametrize("usual", ["friction", "damping"])
+def test_a_less_usual_effect_needs_a_margin(usual):
+    """One effect for another: where the one that is there is the more usual, the other must be
+    better by the margin, which is out of reach here; the control is the other way round.
+    """
+    search, first = selection(measured({"damping": 0.2}))
+    odds = Plausibility({usual: 0.0}, others=-5.0)
+    search.settings = replace(search.settings, usual_margin=1e9, plausibility=odds)
+    start = forced(search, first, "friction")
+    assert names_of(SetSearch(search, first, instances()).run(start)) == {usual}
 
 
 def test_the_right_set_stays():
