@@ -245,14 +245,17 @@ class SetSearch:
         return None
 
     def _margin(self, best: State, other: State) -> float:
-        """By how many nats a model must be better: more where as many effects are less usual."""
+        """By how many nats a model must be better: more where its effects are less usual than as
+        many that they stand in the place of.
+        """
         settings = self.selection.settings
         gone = [one.effect for one in best.accepted if one not in other.accepted]
         new = [one.effect for one in other.accepted if one not in best.accepted]
-        more_usual = settings.more_usual_by(new, gone)
-        if len(new) != len(gone) or more_usual > 0:
+        if len(new) < len(gone):
             return settings.negligible_gain
-        return settings.margin(more_usual)
+        new.sort(key=settings.plausibility.of, reverse=True)
+        more_usual = settings.more_usual_by(new[: len(gone)], gone)
+        return settings.negligible_gain if more_usual > 0 else settings.margin(more_usual)
 
     def _confirmed(self, best: State, other: State) -> bool:
         """Whether windows held out confirm a model in the place of another.
