@@ -203,6 +203,8 @@ class SearchSetup:
         Whether it is decided in which steps the search begins.
     tried : Arithmetic or None
         Other steps in which a search was made already.
+    begun : tuple of State or None
+        The model as it is, and the one that a search begins with, where they were made already.
     worse : mapping of str to Leader
         By their labels, effects with which errors after some horizon are larger.
     compared : bool
@@ -227,6 +229,7 @@ class SearchSetup:
     exact: bool = False
     steps_chosen: bool = False
     tried: Arithmetic | None = None
+    begun: tuple[State, State] | None = None
     worse: Mapping[str, Leader] = field(default_factory=dict)
     compared: bool = False
     sought: bool = False

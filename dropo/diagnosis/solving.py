@@ -108,13 +108,21 @@ def solved(
 
 def _anew(setup: SearchSetup, under: str) -> Selection:
     """A search that has not begun, under other premises."""
+    selection = _further(setup, under)
+    selection.batches = []
+    selection.origins = {}
+    return selection
+
+
+def _further(setup: SearchSetup, under: str) -> Selection:
+    """A search that goes on where it is, under premises that are said."""
     progress = setup.selection.progress
 
     def further(share: float, text: str) -> None:
         """Progress does not run backward."""
         progress(0.9, f"{text}, {under}")
 
-    selection = replace(setup.selection, progress=further, batches=[], origins={})
+    selection = replace(setup.selection, progress=further)
     selection.screening = setup.selection.screening
     return selection
 
@@ -135,7 +143,8 @@ def _stepped(setup: SearchSetup, alternatives: ArithmeticAlternatives) -> Search
     library = replace(library, simulator=exact, coarse=library.simulator)
     selection = replace(_anew(setup, "exact physics steps"), library=library)
     problem = replace(setup.problem, simulator=arithmetic.of(simulator))
-    return replace(setup, problem=problem, library=library, selection=selection, exact=True)
+    stepped = replace(setup, problem=problem, library=library, selection=selection, exact=True)
+    return replace(stepped, begun=None)
 
 
 def search_effects(setup: SearchSetup) -> tuple[SearchSetup, SearchedEffects]:
@@ -156,10 +165,13 @@ def search_effects(setup: SearchSetup) -> tuple[SearchSetup, SearchedEffects]:
     explained = setup.explained
     if explained is not None:
         return setup, SearchedEffects(*setup.evaluated(), explained.interrupted)
-    first = setup.first()
     selection = setup.selection
+    first = setup.first() if setup.begun is None else setup.begun[0]
     try:
-        begun = begin_with(selection, first, setup.instances, setup.known)
+        if setup.begun is None:
+            begun = begin_with(selection, first, setup.instances, setup.known)
+        else:
+            begun = setup.begun[1]
         selection.latest = begun
         if setup.exact:
             return setup, SearchedEffects(first, *explain(setup, first, begun))
@@ -167,7 +179,7 @@ def search_effects(setup: SearchSetup) -> tuple[SearchSetup, SearchedEffects]:
             setup.library, selection.floor, selection.settings, selection.log, first
         )
         if not setup.steps_chosen and alternatives.is_preferred(begun):
-            return _in_either(setup, alternatives)
+            return _in_either(replace(setup, begun=(first, begun)), alternatives)
         if begun is first or not alternatives(first, begun):
             last, reviews = explain(setup, first, begun, alternatives)
             if alternatives.winner in (None, setup.tried):
@@ -194,7 +206,7 @@ def _in_either(
     if found.interrupted or not found.last.accepted:
         return exact, found
     setup.library.simulator.steps = exact.library.simulator.steps
-    selection = _anew(setup, "the model's own physics steps")
+    selection = _further(setup, "the model's own physics steps")
     own = replace(setup, selection=selection, steps_chosen=True, tried=alternatives.winner)
     own, other = search_effects(own)
     exact.library.simulator.steps = own.library.simulator.steps
@@ -203,7 +215,7 @@ def _in_either(
     more = len(other.last.accepted) - len(found.last.accepted)
     gain = penalized_log_likelihood(other.last) - penalized_log_likelihood(found.last)
     if gain > (1 + more) * setup.selection.settings.usual_margin:
-        return own, other
+        return replace(own, begun=None), other
     return exact, found
 
 
