@@ -236,7 +236,9 @@ class Diagnose:
         """About how many windows each side has."""
         if self.windows is not None:
             return int(self.windows)
-        stated: Any = problem.settings.get("windows", self.settings.windows)
+        settings = self.settings
+        usual = settings.long_windows if problem.estimated else settings.windows
+        stated: Any = problem.settings.get("windows", usual)
         return int(stated)
 
     def _start(self, task: DiagnosisTask, progress: Progress) -> RegressionStart | None:

@@ -27,7 +27,9 @@ class DiagnosisSettings:
     ----------
     windows : int
         About how many windows are fitted, and how many are held out, unless something else is
-        asked for.
+        asked for ...
+    long_windows : int
+        ... and where velocities were estimated, which makes windows long.
     selection : SelectionSettings
         When an effect is accepted.
     window_length : WindowLengthSettings
@@ -64,6 +66,7 @@ class DiagnosisSettings:
     """
 
     windows: int = 96
+    long_windows: int = 48
     wiring: WiringSettings | None = field(default_factory=WiringSettings)
     far_off: FarOffLimits | None = field(default_factory=FarOffLimits)
     regression: QuickSettings = field(default_factory=QuickSettings)

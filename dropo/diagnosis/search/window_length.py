@@ -1,5 +1,6 @@
 """How long windows must be for errors of the model to stand out from the sensors' noise."""
 
+import math
 from collections.abc import Collection
 from dataclasses import dataclass
 
@@ -21,7 +22,10 @@ class WindowLengthSettings:
     Attributes
     ----------
     shortest : int
-        Control steps; enough where errors stand out from the noise at once.
+        Control steps; enough where errors stand out from the noise at once ...
+    seconds : float
+        ... and velocities were measured. Where they were estimated, windows are no shorter than
+        this [s]: of a few positions, most only tell with which velocity a window starts.
     horizons : tuple of int
         Control steps that are tried, in this order.
     stands_out : float
@@ -37,6 +41,7 @@ class WindowLengthSettings:
     """
 
     shortest: int = 5
+    seconds: float = 0.25
     horizons: tuple[int, ...] = (5, 10, 20, 50, 100, 200, 500, 1000)
     stands_out: float = 3.0
     curved: float = 0.2
@@ -67,12 +72,14 @@ def choose_length(problem: Problem, settings: WindowLengthSettings = SETTINGS) -
     """
     if problem.horizon > 1:
         return max(settings.shortest, problem.horizon)
+    shortest = _shortest(problem, settings)
     space = problem.space
     library = Library(problem.simulator, (), len(space))
     nominal = np.asarray(problem.simulator.nominal, dtype=float)
     theta = space.clip(nominal)
     sigma: Array | None = None
-    for horizon in settings.horizons:
+    longer = [horizon for horizon in settings.horizons if horizon > shortest]
+    for horizon in (shortest, *longer):
         if not _enough(problem, horizon, settings.fewest):
             break
         train = split(problem, horizon, settings.tried)[0]
@@ -80,11 +87,24 @@ def choose_length(problem: Problem, settings: WindowLengthSettings = SETTINGS) -
             floor = noise_floor(problem.simulator, train, settings)
             sigma = first_noise(problem, library, train, theta, floor)
         error, curved = _errors_and_curvature(library, train, theta, sigma)
+        if horizon == shortest > settings.shortest and curved > settings.curved:
+            return settings.shortest
         if error > settings.stands_out:
             return horizon
         if curved > settings.curved:
             break
-    return settings.shortest
+    return shortest
+
+
+def _shortest(problem: Problem, settings: WindowLengthSettings) -> int:
+    """The shortest horizon, in control steps, of which the data hold enough windows."""
+    step = problem.simulator.control_step
+    if not problem.estimated or step is None:
+        return settings.shortest
+    horizon = max(settings.shortest, math.ceil(settings.seconds / step))
+    while horizon > settings.shortest and not _enough(problem, horizon, settings.fewest):
+        horizon = max(settings.shortest, horizon // 2)
+    return horizon
 
 
 def _enough(problem: Problem, horizon: int, fewest: int) -> bool:
