@@ -1,5 +1,6 @@
 """Windows are as long as it takes for what is wrong to stand out from the noise."""
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -9,6 +10,7 @@ from dropo.diagnosis.search.window_length import (
     WindowLengthSettings,
     choose_length,
 )
+from dropo.problems.file.estimated_velocities import with_velocities
 from tests.models.hidden_in_arm import problem
 
 
@@ -49,3 +51,31 @@ def test_windows_end_before_the_noise_of_their_start_bends():
     slow = problem([("joint_damping:elbow", [0.01])], sigma=0.03, episodes=40, steps=110)
     assert choose_length(slow) == 50
     assert choose_length(slow, WindowLengthSettings(curved=0.01)) == SETTINGS.shortest
+
+
+def test_windows_are_longer_where_velocities_were_estimated():
+    """Most of a few positions only tell the start's velocity: windows last a quarter of a second,
+    half of that where there are not enough, and the shortest where the start's noise bends. The
+    control is the same log, taken for measured.
+    """
+    alone = with_velocities(_by_positions(problem([("joint_damping:elbow", [0.05])], steps=60)))
+    quarter = math.ceil(SETTINGS.seconds / alone.simulator.control_step)
+    assert choose_length(alone) == quarter > SETTINGS.shortest
+    many = replace(SETTINGS, fewest=len(alone.trajectories) // (2 * quarter))
+    assert choose_length(alone, many) == quarter // 2
+    assert choose_length(alone, replace(SETTINGS, curved=0.0)) == SETTINGS.shortest
+    assert choose_length(replace(alone, estimated={})) < quarter
+
+
+def _by_positions(found):
+    """A problem whose log has no velocities."""
+    data = found.trajectories
+    return replace(
+        found,
+        simulator=found.simulator.observing(["qpos"]),
+        trajectories=replace(
+            data,
+            observations=data.observations[:, :2],
+            next_observations=data.next_observations[:, :2],
+        ),
+    )
