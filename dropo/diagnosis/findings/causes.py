@@ -54,6 +54,9 @@ class CauseSettings:
 
 SETTINGS = CauseSettings()
 NO_LAWS: Mapping[str, FoundLaw] = {}
+
+OF_STEPS = 0.25
+"""Fraction of what a model's own physics steps change that is part of the errors in exact ones."""
 """Where none was looked for."""
 
 
@@ -340,7 +343,9 @@ def standard_errors(
     Returns
     -------
     errors : (f,) array
-        In the numbers' units. What the data do not tell is anywhere within its bounds.
+        In the numbers' units. What the data do not tell is anywhere within its bounds. Where the
+        model's own physics steps were found to be too coarse, a quarter of what they would change
+        is part of the errors: exact steps are not exact either, nor is another simulation.
     degrees : (f,) array
         Degrees of freedom of each.
     """
@@ -393,7 +398,11 @@ def _sandwich(library: Library, last: State, fraction: float) -> tuple[Array, Ar
     np.add.at(scores, block, np.einsum("fwn,wn->wf", rows, residuals))
     information = np.zeros((len(names), len(free), len(free)))
     np.add.at(information, block, np.einsum("fwn,gwn->wfg", rows, rows))
-    return few_units_sandwich(scores, information)
+    covariance, degrees = few_units_sandwich(scores, information)
+    if train.defect is not None:
+        drift = np.linalg.lstsq(rows.reshape(len(free), -1).T, train.flat(train.defect))[0]
+        covariance = covariance + np.outer(OF_STEPS * drift, OF_STEPS * drift)
+    return covariance, degrees
 
 
 def suspects(selection: Selection, last: State, count: int) -> tuple[Suspect, ...]:
