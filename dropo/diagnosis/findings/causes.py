@@ -54,10 +54,10 @@ class CauseSettings:
 
 SETTINGS = CauseSettings()
 NO_LAWS: Mapping[str, FoundLaw] = {}
+"""Where none was looked for."""
 
 OF_STEPS = 0.25
 """Fraction of what a model's own physics steps change that is part of the errors in exact ones."""
-"""Where none was looked for."""
 
 
 def causes(
