@@ -210,8 +210,27 @@ def experiments(
     Returns
     -------
     list of Experiment or None
-        For each of the others; the motions are simulated once for all.
+        For each of the others; the motions are simulated once for all, in coarser physics steps
+        where the library has such: motions to come are not compared with data.
     """
+    coarse = library.coarse
+    if coarse is None:
+        return _chosen(library, last, one, others, settings)
+    before = coarse.steps
+    planned = replace(library, simulator=coarse, coarse=None)
+    found = _chosen(planned, last, one, others, settings)
+    library.simulator.steps += coarse.steps - before
+    return found
+
+
+def _chosen(
+    library: Library,
+    last: State,
+    one: EffectInstance,
+    others: Sequence[tuple[EffectInstance, Array]],
+    settings: ExperimentSettings,
+) -> list[Experiment | None]:
+    """As `experiments`, in the library's own steps."""
     windows = last.train.windows
     data = windows.segments.trajectories
     simulator = library.simulator
