@@ -18,6 +18,7 @@ from dropo.diagnosis.findings.premises.still import Held
 from dropo.diagnosis.findings.remains.unexplained_forces import without_impulses
 from dropo.diagnosis.laws.discovery import WithLaws
 from dropo.diagnosis.parts import Leader
+from dropo.diagnosis.search.arithmetic import Arithmetic
 from dropo.diagnosis.search.bounds import at_bounds
 from dropo.diagnosis.search.library import plugin_effects, robot_of
 from dropo.diagnosis.search.linearization import Library, shift_linearization
@@ -199,8 +200,9 @@ class SearchSetup:
     exact : bool
         Whether it has more exact steps than the model, which no others are then tried beside.
     steps_chosen : bool
-        Whether a search in more exact steps was made already: this one keeps the model's own, and
-        ends where others are better.
+        Whether it is decided in which steps the search begins.
+    tried : Arithmetic or None
+        Other steps in which a search was made already.
     begun : tuple of State or None
         The model as it is, and the one that a search begins with, where they were made already.
     worse : mapping of str to Leader
@@ -226,6 +228,7 @@ class SearchSetup:
     refused: Mapping[str, str] = field(default_factory=dict)
     exact: bool = False
     steps_chosen: bool = False
+    tried: Arithmetic | None = None
     begun: tuple[State, State] | None = None
     worse: Mapping[str, Leader] = field(default_factory=dict)
     compared: bool = False

@@ -182,9 +182,9 @@ def search_effects(setup: SearchSetup) -> tuple[SearchSetup, SearchedEffects]:
             return _in_either(replace(setup, begun=(first, begun)), alternatives)
         if begun is first or not alternatives(first, begun):
             last, reviews = explain(setup, first, begun, alternatives)
-            if alternatives.winner is None or setup.steps_chosen:
+            if alternatives.winner in (None, setup.tried):
                 return setup, SearchedEffects(first, last, reviews)
-        elif setup.steps_chosen:
+        elif alternatives.winner == setup.tried:
             return setup, SearchedEffects(first, begun, reviews_so_far(selection, begun))
         return search_effects(_stepped(setup, alternatives))
     except KeyboardInterrupt:
@@ -207,7 +207,7 @@ def _in_either(
         return exact, found
     setup.library.simulator.steps = exact.library.simulator.steps
     selection = _further(setup, "the model's own physics steps")
-    own = replace(setup, selection=selection, steps_chosen=True)
+    own = replace(setup, selection=selection, steps_chosen=True, tried=alternatives.winner)
     own, other = search_effects(own)
     exact.library.simulator.steps = own.library.simulator.steps
     if other.interrupted:
