@@ -123,7 +123,9 @@ def _drawn(design: RandomDesign, effect: str, rng: Generator) -> Hidden:
     spec = design.spec
     if effect == "actuator_delay":
         step = STEP / FINER
-        return Hidden(effect, None, round(rng.uniform(0.004, 0.02) / step) * step)
+        drives = spec.actuators
+        place = drives[0].name if len(drives) == 1 else None
+        return Hidden(effect, place, round(rng.uniform(0.004, 0.02) / step) * step)
     if effect == "actuator_gain":
         drive = spec.actuators[rng.integers(len(spec.actuators))]
         return Hidden(effect, drive.name, float(rng.choice([-1.0, 1.0]) * rng.uniform(0.1, 0.3)))

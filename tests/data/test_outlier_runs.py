@@ -1,9 +1,12 @@
 """A run with another payload is named; runs that agree, or all differ, are not."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from dropo.core.services.errors import BadArgument
+from dropo.data.outliers import outlier_runs
 from dropo.data.outliers.outlier_runs import compare_runs
 from tests.models.pushed_arm import STEP, with_payloads
 
@@ -38,6 +41,21 @@ def test_each_runs_errors_hold(simulator):
     assert np.abs(scores.mean(axis=0)).max() < 4.5 / np.sqrt(12)
     assert ((scores**2).mean(axis=0) < 1 + 4.5 * np.sqrt(2 / 12)).all()
     assert ((scores**2).mean(axis=0) > 0.2).all()
+
+
+def test_no_variance_is_negative(simulator, monkeypatch):
+    """Where information is so singular that its inverse is not even symmetric, errors are numbers;
+    the control is the product with that inverse twice, whose variances are negative.
+    """
+    turned = np.array([[0.0, 1.0], [-1.0, 0.0]])
+    scores = np.random.default_rng(0).normal(size=(40, 2))
+    fit = SimpleNamespace(
+        value=simulator.nominal, scores=scores, inverse=turned, information=np.eye(2)
+    )
+    monkeypatch.setattr(outlier_runs, "robust_fit", lambda *given, **settings: fit)
+    found = outlier_runs.fit_run(simulator, with_payloads([0.6]), simulator.nominal, 10)
+    assert (np.diagonal(turned @ scores.T @ scores @ turned) < 0).all()
+    assert (np.diagonal(found.covariance) > 0).all()
 
 
 def test_few_runs_are_refused(simulator):

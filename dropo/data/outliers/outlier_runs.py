@@ -249,7 +249,9 @@ def fit_run(
     pieces = np.array_split(fit.scores, min(settings.blocks, len(fit.scores)))
     blocks = np.array([piece.sum(axis=0) for piece in pieces])
     blocks = blocks - blocks.mean(axis=0)
-    covariance = fit.inverse @ (blocks.T @ blocks) @ fit.inverse * len(blocks) / (len(blocks) - 1)
+    # A product with its own transpose: no variance is below 0, however singular the information is.
+    moved = blocks @ fit.inverse.T
+    covariance = moved.T @ moved * len(blocks) / (len(blocks) - 1)
     # The prior, not the run, determines parameters without information.
     silent = np.diagonal(fit.information) * np.diagonal(fit.inverse) < 1e-3
     return SingleRunFit(fit.value, covariance * np.outer(width, width), silent)
