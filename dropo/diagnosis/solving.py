@@ -143,8 +143,14 @@ def _stepped(setup: SearchSetup, alternatives: ArithmeticAlternatives) -> Search
     library = replace(library, simulator=exact, coarse=library.simulator)
     selection = replace(_anew(setup, "exact physics steps"), library=library)
     problem = replace(setup.problem, simulator=arithmetic.of(simulator))
-    stepped = replace(setup, problem=problem, library=library, selection=selection, exact=True)
-    return replace(stepped, begun=None)
+    return replace(
+        setup,
+        problem=problem,
+        library=library,
+        selection=selection,
+        exact=True,
+        begun=None,
+    )
 
 
 def search_effects(setup: SearchSetup) -> tuple[SearchSetup, SearchedEffects]:

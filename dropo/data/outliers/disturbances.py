@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dropo.core.contracts.simulator import Simulator
+from dropo.core.numerics.finite_differences import axial_design, difference_quotients
 from dropo.core.numerics.robust_statistics import deviation
 from dropo.core.records.trajectories import Ints, Segments, Signal, Trajectories
 from dropo.core.services.validation import Array, float_array, require
@@ -412,17 +413,15 @@ class _Simulation:
     def _around(self, steps: Segments, start: Array, usual: Array) -> tuple[Array, Array]:
         """Predictions (W, L, r) from starts moved by (u, W), and their slopes (W, L, r, u)."""
         count = len(start)
-        width = self.noise[self.unknown][:, None]
-        moved = np.stack([start, *(start + side * width for side in (1, -1))])
+        width = self.noise[self.unknown]
         # Row 0: the start; then each unknown signal larger by its width, then each smaller.
         offsets = np.zeros((1 + 2 * count, len(steps), len(self.noise)))
-        offsets[:, :, self.unknown] = start.T
-        for i, column in enumerate(self.unknown):
-            offsets[[1 + i, 1 + count + i], :, column] = moved[1:, i]
+        offsets[:, :, self.unknown] = start.T + axial_design(width, -width)[:, None]
         values = np.repeat(self.value[None], len(offsets), axis=0)
         predicted = self._by_step(self.simulator.predict(values, steps, offsets=offsets), usual)
-        slopes = (predicted[1 : 1 + count] - predicted[1 + count :]) / (2 * width[..., None, None])
-        return predicted[0], np.nan_to_num(np.moveaxis(slopes, 0, -1))
+        flat = predicted.reshape(*predicted.shape[:2], -1)
+        slopes = difference_quotients(flat, 2 * width).reshape(*predicted.shape[1:], count)
+        return predicted[0], np.nan_to_num(slopes)
 
     def _by_step(self, values: Array, usual: Array) -> Array:
         """(..., W, L, r) the signals that are evaluated after each step of (..., W L p) values."""
