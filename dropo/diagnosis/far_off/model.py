@@ -19,6 +19,9 @@ from dropo.mjmodel.robot_simulator import RobotSimulator
 GAIN = "actuator_gain"
 """The effect that is on the scale of all forces."""
 
+PAYLOAD = "payload"
+"""The effect that stands in for gains that differ."""
+
 ROOM = 10.0
 """Multiple of what is added to a number of the model that its bounds hold at least."""
 
@@ -134,6 +137,24 @@ class FarOffModel:
             sizes = theta[self.library.indices_of[instance.label]]
             numbers.append((instance, sizes))
         return replace(self, declared=theta[: len(self.declared)], numbers=tuple(numbers))
+
+    def as_it_came(self) -> "FarOffModel":
+        """Set every number to what it is in the model as it came.
+
+        Returns
+        -------
+        FarOffModel
+            The declared parameters at their nominal values, and numbers of 0; a payload keeps its
+            place, of which a mass of 0 tells nothing.
+        """
+        simulator = robot_of(self.problem)
+        numbers = []
+        for instance, sizes in self.numbers:
+            nothing = sizes.copy() if instance.effect == PAYLOAD else np.zeros_like(sizes)
+            nothing[0] = 0.0
+            numbers.append((instance, nothing))
+        declared = simulator.space.clip(simulator.nominal)
+        return replace(self, declared=declared, numbers=tuple(numbers))
 
     @property
     def holds(self) -> bool:

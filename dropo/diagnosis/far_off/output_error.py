@@ -609,6 +609,35 @@ class OutputError:
         taken = moment @ self._inverse(fitted.gram + prior) @ moment
         return float(0.5 * (target @ target - taken))
 
+    def promised(self, fitted: Fitted, changes: Array) -> tuple[Array, Array]:
+        """Compute what further numbers promise, one at a time, the fitted ones moving along.
+
+        Parameters
+        ----------
+        fitted : Fitted
+            The motions linearized at the numbers, f of which are free.
+        changes : (K, W, n) array
+            What predictions change by under a trial size of each of K further numbers.
+
+        Returns
+        -------
+        gains : (K,) array
+            By how much the cost would fall at best [nats].
+        factors : (K,) array
+            The best sizes, as multiples of the trials'.
+        """
+        weights = self._weights(self.whitened(fitted.residuals, fitted.scale))
+        whitener = self.motions.whitener(fitted.scale)
+        columns = (whitener(np.nan_to_num(changes)) * weights).reshape(len(changes), -1)
+        rows = fitted.rows.reshape(len(fitted.rows), -1)
+        target = fitted.target.ravel()
+        inverse = self._inverse(fitted.gram + np.diag(self.known.information[fitted.free]))
+        shared = columns @ rows.T
+        squares = np.sum(columns**2, axis=1) - np.sum((shared @ inverse) * shared, axis=1)
+        moments = columns @ target - shared @ inverse @ (rows @ target)
+        factors = moments / np.maximum(squares, 1e-300)
+        return 0.5 * factors * moments, factors
+
     @staticmethod
     def _inverse(information: Array) -> Array:
         """The inverse of an information matrix (f, f), without directions that it does not tell."""

@@ -12,9 +12,10 @@ from dropo.core.contracts.simulator import Simulator
 from dropo.core.services.files.evaluation_log import EvaluationLog
 from dropo.core.services.validation import Array
 from dropo.diagnosis.far_off.families import with_families
-from dropo.diagnosis.far_off.model import GAIN, FarOffModel
+from dropo.diagnosis.far_off.model import GAIN, PAYLOAD, FarOffModel, reaching
 from dropo.diagnosis.far_off.motions import LongWindowSettings, Motions, motions_of, outer_spread
 from dropo.diagnosis.far_off.output_error import Fitted, Known, OutputError, OutputErrorSettings
+from dropo.diagnosis.far_off.payloads import promised_payload
 from dropo.diagnosis.far_off.ties import ties_of
 from dropo.diagnosis.search.arithmetic import Arithmetic, ArithmeticSettings, alternatives_of
 from dropo.diagnosis.search.bounds import at_bounds, totals_of
@@ -22,9 +23,6 @@ from dropo.diagnosis.search.library import robot_of
 from dropo.diagnosis.search.linearization import DIVERGED, Library
 from dropo.diagnosis.search.selection import STOPPING
 from dropo.mjmodel.robot_simulator import RobotSimulator
-
-PAYLOAD = "payload"
-"""The effect that stands in for gains that differ."""
 
 KNOWN = 1e-4
 """Standard deviation of a scale that is known."""
@@ -284,6 +282,8 @@ class FarOffSearch:
             few = -(-len(fitted.windows) // settings.rough)
             sides = _Sides(fitted, _first(fitted, few), held_out)
             length = fitted.windows.length
+            if self._latest is None:
+                model = self._begun(model, sides)
             self.progress(at, f"fitting {len(model.fitted)} numbers to windows of {length} steps")
             model = self._fit(model, sides.few, settings.rough_fit)
             self._latest = model, fitted
@@ -292,6 +292,7 @@ class FarOffSearch:
             self.progress(0.25, "fitting dry friction that holds what rests")
             model = self._better(model, model.with_holding_friction(), sides)
         model = self._with_own_gains(model, sides)
+        model = self._with_payload(model, sides)
         model = self._with_families(model, sides)
         model = self._without_needless(model, sides)
         model = self._with_steps_that_last(model, sides)
@@ -303,6 +304,15 @@ class FarOffSearch:
         windows = len(fitted.windows)
         self.progress(0.7, f"fitting {len(model.fitted)} numbers to {windows} windows")
         self._latest = self._fit(model, fitted, settings.fit), fitted
+
+    def _begun(self, model: FarOffModel, sides: _Sides) -> FarOffModel:
+        """Where numbers begin: at those of regression, or at 0 if that predicts motions better.
+
+        Of drives so stiff that joints hardly leave their commands, regression sees noise alone.
+        """
+        nothing = model.as_it_came()
+        gains, _ = self._gains(nothing, model, sides.few)
+        return nothing if gains.sum() > 0 else model
 
     def _cut(
         self, model: FarOffModel, chosen: LongWindowSettings
@@ -380,6 +390,20 @@ class FarOffSearch:
             chosen = apart if self._is_better(apart, model, sides) else model
         self._latest = chosen, sides.fitted
         return chosen
+
+    def _with_payload(self, model: FarOffModel, sides: _Sides) -> FarOffModel:
+        """A payload where it promises most, if motions are not explained without one."""
+        if any(instance.effect == PAYLOAD for instance, _ in model.numbers):
+            return model
+        if not self._is_misfit(model, sides.fitted):
+            return model
+        promised = promised_payload(model, self._error(model, sides.few))
+        if promised is None:
+            return model
+        instance, sizes = promised
+        self.progress(0.28, f"fitting a payload of {instance.target}")
+        wider = model.with_numbers([(reaching(instance, sizes), sizes)])
+        return self._better(model, wider, sides)
 
     def _with_families(self, model: FarOffModel, sides: _Sides) -> FarOffModel:
         """Effects at every joint or drive, where motions are not explained without them.

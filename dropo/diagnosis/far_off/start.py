@@ -23,6 +23,11 @@ from dropo.diagnosis.regression.readings import sides
 from dropo.diagnosis.search.library import changed_parameters, declared, robot_of
 from dropo.mjmodel.robot_simulator import RobotSimulator
 
+OF_ALL_DRIVES = (GAIN, "actuator_delay")
+"""Effects that are fitted to whole motions in any case: the gain belongs to the scale of all
+numbers, and smoothing hides a delay of stiff servos.
+"""
+
 
 @dataclass(frozen=True)
 class FarOffLimits:
@@ -160,7 +165,8 @@ def _far_off(
             continue
         for i, value in changed_parameters(simulator, instance, sizes).items():
             values[i] = np.clip(value, space.low[i], space.high[i])
-    numbers += _gain(simulator, free, numbers)
+    for effect in OF_ALL_DRIVES:
+        numbers += _of_all_drives(simulator, effect, free, numbers)
     fitted, checked = sides(problem, settings.checked)
     whole = divided = replace(problem, trajectories=fitted, held_out=checked)
     if problem.held_out is not None:
@@ -178,11 +184,13 @@ def _may_be(estimate: Missing, kinds: Sequence[str], limits: FarOffLimits) -> bo
     return before > limits.forces and estimate.left < (1 - limits.explained) * before
 
 
-def _gain(simulator: RobotSimulator, free: Ints, numbers: ActiveEffects) -> ActiveEffects:
-    """The gain of all drives, 0, where it is not among the numbers: it belongs to their scale."""
-    if any(instance.effect == GAIN for instance, _ in numbers):
+def _of_all_drives(
+    simulator: RobotSimulator, effect: str, free: Ints, numbers: ActiveEffects
+) -> ActiveEffects:
+    """An effect of all drives, of size 0, where it is not among the numbers."""
+    if any(instance.effect == effect for instance, _ in numbers):
         return ()
-    every = list(instances_of(simulator.effect_context, GAIN))
+    every = list(instances_of(simulator.effect_context, effect))
     if not every or any(declared(simulator, instance, free) for instance in every):
         return ()
     # What acts on all of them stands behind the single ones.
