@@ -8,15 +8,24 @@ from dropo.core.contracts.effect import instances_of
 from dropo.diagnosis.far_off.model import FarOffModel, reaching
 from dropo.diagnosis.regression.equation import coupled_joints
 from dropo.diagnosis.search.library import declared, robot_of
+from dropo.mjmodel.joints import joints
+from dropo.mjmodel.tendons import fixed_tendons, moved_by_tendons
 
 EVERYWHERE = (None, "hinges", "slides")
 """Targets of effects that act at many places alike."""
+ALONG_TENDONS = {
+    "joint_armature": "tendon_armature",
+    "joint_damping": "tendon_damping",
+    "joint_friction": "tendon_friction",
+}
+"""What stands for an effect of joints where drives move them through tendons."""
 
 
 def with_families(model: FarOffModel, names: Sequence[str]) -> FarOffModel:
     """Add effects at every place where the model neither has nor declares them.
 
-    Joints that follow others by an equality constraint are no places.
+    Joints that follow others by an equality constraint are no places. Where drives move joints
+    through tendons, laws are along these.
 
     Parameters
     ----------
@@ -34,11 +43,19 @@ def with_families(model: FarOffModel, names: Sequence[str]) -> FarOffModel:
     simulator = robot_of(model.problem)
     # What a joint has that follows another acts there as if that had it.
     elsewhere = {*EVERYWHERE, *(follower.name for follower in coupled_joints(simulator))}
+    moved = moved_by_tendons(simulator.model)
+    by_tendons = {joint.name for joint in joints(simulator.model) if joint.qvel in moved}
+    pulled = {line.tendon.name for line in fixed_tendons(simulator.model) if line.driven}
     for name in names:
         taken = {instance.label for instance, _ in model.numbers}
+        offered = list(instances_of(simulator.effect_context, name))
+        if name in ALONG_TENDONS:
+            along = instances_of(simulator.effect_context, ALONG_TENDONS[name])
+            offered = [one for one in offered if one.target not in by_tendons]
+            offered += [one for one in along if one.target in pulled]
         family = [
             instance
-            for instance in instances_of(simulator.effect_context, name)
+            for instance in offered
             if instance.target not in elsewhere
             and not instance.variant
             and instance.label not in taken

@@ -11,7 +11,7 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.services.files.evaluation_log import EvaluationLog
 from dropo.core.services.validation import Array
-from dropo.diagnosis.far_off.families import with_families
+from dropo.diagnosis.far_off.families import ALONG_TENDONS, with_families
 from dropo.diagnosis.far_off.model import GAIN, PAYLOAD, FarOffModel, reaching
 from dropo.diagnosis.far_off.motions import LongWindowSettings, Motions, motions_of, outer_spread
 from dropo.diagnosis.far_off.output_error import Fitted, Known, OutputError, OutputErrorSettings
@@ -434,7 +434,7 @@ class FarOffSearch:
 
         The laws and gains stay: without them, the scale of all forces would seem known.
         """
-        kept = {*self.settings.laws, GAIN}
+        kept = {*self.settings.laws, *ALONG_TENDONS.values(), GAIN}
         while True:
             names = {instance.effect for instance, _ in model.numbers} - kept
             if not names:

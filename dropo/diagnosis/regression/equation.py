@@ -29,6 +29,7 @@ from dropo.mjmodel.followers import Follower, couplings_of
 from dropo.mjmodel.joints import Joint, all_joints, dry_frictions, joints, numbers_of
 from dropo.mjmodel.options import physics_step
 from dropo.mjmodel.robot_simulator import RobotSimulator
+from dropo.mjmodel.tendons import FixedTendon, fixed_tendons
 from dropo.simulators.mujoco.layers import change_commands, clamp
 
 
@@ -113,6 +114,10 @@ class Equation:
     position, velocity, acceleration, direction : (R, nv) arrays
         Of each degree of freedom, [rad, m] and their derivatives; the direction of motion is
         between -1 and 1.
+    tendons : sequence of FixedTendon
+        Those of the model, T of them.
+    along_tendons : (R, T) array
+        The direction of motion along each.
     load : (R, nv) array
         The direction of motion times the size of the force that the motion needs without friction.
     by_inertia : (B, R, nv, 10) array
@@ -145,6 +150,8 @@ class Equation:
     velocity: Array
     acceleration: Array
     direction: Array
+    tendons: Sequence[FixedTendon]
+    along_tendons: Array
     load: Array
     by_inertia: Array
     by_gravity: Array
@@ -202,7 +209,7 @@ def refuse_unsuitable(simulator: RobotSimulator) -> None:
             "A regression over inverse dynamics needs hinges and slides, from a fixed base or from "
             "a free one; this model has a ball joint."
         )
-    if not len(_drives_at_rest(simulator).dofs):
+    if not _drives_at_rest(simulator).driven.any():
         raise Incompatible(
             "A regression over inverse dynamics needs a drive whose force is known: without one, "
             "all forces and masses could be larger by one factor."
@@ -241,7 +248,7 @@ def coupled_joints(simulator: RobotSimulator) -> list[Follower]:
     if not model.neq:
         return []
     try:
-        found = couplings_of(model, _drives_at_rest(simulator).dofs.tolist())
+        found = couplings_of(model, np.flatnonzero(_drives_at_rest(simulator).driven).tolist())
     except Incompatible as error:
         raise Incompatible(
             f"A regression over inverse dynamics needs forces that are known. {error} Diagnose "
@@ -350,8 +357,7 @@ def equation_of(
     for name in parts[0]:
         axis = 1 if name in ("drives", "by_inertia") else 0
         joined[name] = np.concatenate([part[name] for part in parts], axis=axis)
-    driven = np.zeros(simulator.model.nv, dtype=bool)
-    driven[_drives_at_rest(simulator).dofs] = True
+    driven = _drives_at_rest(simulator).driven
     _refuse_nothing(joined["drives"], joined["used"], driven)
     inertia = np.zeros(model.nv)
     floating = is_floating(model)
@@ -359,7 +365,13 @@ def equation_of(
         for joint in joints(model):
             inertia[joint.qvel] = numbers_of(model, joint).inertia
     return Equation(
-        **joined, floating=floating, delays=delays, driven=driven, inertia=inertia, width=width
+        **joined,
+        tendons=fixed_tendons(model),
+        floating=floating,
+        delays=delays,
+        driven=driven,
+        inertia=inertia,
+        width=width,
     )
 
 
@@ -688,7 +700,13 @@ def _stretch_equation(
     by_gravity = motion.by_gravity
     at_dofs = _at_dofs(log, position)
     by_joint: dict[str, Array] = {}
+    lines = fixed_tendons(model)
+    moments = np.array([line.moments for line in lines]).reshape(len(lines), model.nv)
+    along = velocity @ moments.T
+    usual = np.sqrt(np.mean(along**2, axis=0))
+    along = apply_kernel(kernels[0], np.tanh(along / np.maximum(settings.slow * usual, 1e-300)))
     rubbing = dry_frictions(model) * direction
+    rubbing = rubbing + (along * [line.friction for line in lines]) @ moments
     free = _free_of_constraints(model, log.followers, position, velocity, still, REACH * width)
     if free is not None:
         own = {
@@ -721,6 +739,7 @@ def _stretch_equation(
         "velocity": thinned(velocity),
         "acceleration": thinned(acceleration),
         "direction": thinned(direction),
+        "along_tendons": thinned(along),
         "load": thinned(load),
         "by_inertia": np.stack(thin_inertia) if thin_inertia else np.zeros(shape),
         "by_gravity": thinned(by_gravity),

@@ -230,12 +230,9 @@ class Readings:
 
     @cached_property
     def actuators_at(self) -> dict[int, tuple[int, ...]]:
-        """The actuators at each degree of freedom."""
+        """The actuators at each degree of freedom where they act alone."""
         rest = np.zeros((1, self.model.nv))
-        found: dict[int, tuple[int, ...]] = {}
-        for i, dof in enumerate(linear_drives(self.model, rest, rest).dofs.tolist()):
-            found[dof] = (*found.get(dof, ()), i)
-        return found
+        return linear_drives(self.model, rest, rest).lone
 
     @cached_property
     def evaluated(self) -> tuple[int, ...]:

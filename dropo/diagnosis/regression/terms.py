@@ -14,6 +14,7 @@ from dropo.mjmodel.dynamics.drives import feedback_at
 from dropo.mjmodel.joints import Joint, actuators, numbers_of
 from dropo.mjmodel.options import gravity, physics_step
 from dropo.mjmodel.robot_simulator import RobotSimulator
+from dropo.mjmodel.tendons import FixedTendon, moved_by_tendons
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,8 +87,13 @@ def terms_of(simulator: RobotSimulator, equation: Equation) -> list[Term]:
     """
     model = model_of(simulator)
     found: list[Term] = []
+    by_tendon = frozenset() if equation.by_joint else moved_by_tendons(model)
     for joint in independent_joints(simulator):
-        found += _joint_terms(model, joint, equation)
+        own = _joint_terms(model, joint, equation)
+        found += [term for term in own if joint.qvel not in by_tendon or term.family not in LAWS]
+    for line, direction in zip(equation.tendons, equation.along_tendons.T, strict=True):
+        if line.driven and not equation.by_joint:
+            found += _tendon_terms(line, direction, equation, physics_step(model))
     if equation.floating:  # the weight of a free base fixes the scale of each drive
         found += _gain_terms(model, equation)
     else:
@@ -185,6 +191,28 @@ def _joint_terms(model: Model, joint: Joint, equation: Equation) -> list[Term]:
         )
         found.append(share)
     return found
+
+
+def _tendon_terms(
+    line: FixedTendon, direction: Array, equation: Equation, step: float
+) -> list[Term]:
+    """Rotor and friction along a tendon; direction: (R,) of its motion; step: of the physics [s]."""
+    tendon = line.tendon
+
+    def term(quantity: str, unit: str, rows: Array, base: float, least: float) -> Term:
+        effect = f"tendon_{'friction' if quantity == 'frictionloss' else quantity}"
+        family = effect.removeprefix("tendon_")
+        column = np.multiply.outer(rows, line.moments)
+        return Term(effect, tendon.name, "", quantity, unit, -base, base, least, family, column)
+
+    least = (line.feedback + line.damping) * step / 2
+    acceleration = equation.acceleration @ line.moments
+    velocity = equation.velocity @ line.moments
+    return [
+        term("armature", tendon.mass, acceleration, line.armature, least),
+        term("damping", tendon.damping, velocity, line.damping, line.stiffness * step / 2),
+        term("frictionloss", tendon.force, direction, line.friction, 0.0),
+    ]
 
 
 def _gain_terms(model: Model, equation: Equation) -> list[Term]:

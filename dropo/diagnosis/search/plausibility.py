@@ -11,6 +11,9 @@ USUAL = MappingProxyType(
         "joint_damping": 0.0,
         "joint_armature": 0.0,
         "actuator_gain": 0.0,
+        "tendon_friction": -0.5,  # of machines whose drives pull tendons
+        "tendon_damping": -0.5,
+        "tendon_armature": -0.5,
         "payload": -0.5,
         "body_mass": -0.5,
         "actuator_delay": -0.5,

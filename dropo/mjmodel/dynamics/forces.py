@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from dropo.core.contracts.effect import StepState
 from dropo.core.services.errors import Incompatible
 from dropo.core.services.validation import Array
-from dropo.mjmodel.joints import Joint, actuators
+from dropo.mjmodel.joints import Actuator, Joint, actuators
+from dropo.mjmodel.tendons import tendon_coefficients
 
 FIXED = int(mujoco.mjtGain.mjGAIN_FIXED)
 AFFINE = int(mujoco.mjtGain.mjGAIN_AFFINE)
@@ -41,16 +42,21 @@ def motors(model: mujoco.MjModel) -> list[tuple[Joint, list[int]]]:
     list of (Joint, list of int)
         Each joint with the ids of its actuators for which `motor_force` holds.
     """
-    gain = np.isin(model.actuator_gaintype, (FIXED, AFFINE))
-    bias = np.isin(model.actuator_biastype, (NO_BIAS, AFFINE_BIAS))
+    known_laws = _have_known_law(model)
     found: dict[int, tuple[Joint, list[int]]] = {}
     for actuator in actuators(model):
         joint = actuator.joint
         if joint is None or joint.kind not in ("slide", "hinge"):
             continue
-        if gain[actuator.id] and bias[actuator.id]:
+        if known_laws[actuator.id]:
             found.setdefault(joint.id, (joint, []))[1].append(actuator.id)
     return list(found.values())
+
+
+def _have_known_law(model: mujoco.MjModel) -> NDArray[np.bool_]:
+    """(nu,) whether an actuator's force is known from its length, speed and command."""
+    gain = np.isin(model.actuator_gaintype, (FIXED, AFFINE))
+    return gain & np.isin(model.actuator_biastype, (NO_BIAS, AFFINE_BIAS))
 
 
 def force_limit(model: mujoco.MjModel, ids: Sequence[int]) -> float:
@@ -296,14 +302,30 @@ class LinearDrives:
     bias : (n, nv) array
         Forces at commands of 0 [N, N m].
     gains : (n, nu) array
-        Force of each actuator for a command of 1, at the degree of freedom that it drives.
-    dofs : (nu,) int array
-        Which degree of freedom that is.
+        Force of each actuator for a command of 1, behind its gear.
+    moments : (nu, nv) array
+        What such a force of 1 gives at each degree of freedom: 1 at the actuator's joint, or the
+        coefficients of its tendon.
     """
 
     bias: Array
     gains: Array
-    dofs: NDArray[np.int64]
+    moments: Array
+
+    @property
+    def driven(self) -> NDArray[np.bool_]:
+        """(nv,) whether an actuator acts at a degree of freedom."""
+        return np.asarray((self.moments != 0).any(axis=0))
+
+    @property
+    def lone(self) -> dict[int, tuple[int, ...]]:
+        """By degree of freedom its actuators, where each of these acts there alone."""
+        acts = self.moments != 0
+        shared = acts[acts.sum(axis=1) > 1].any(axis=0)
+        return {
+            dof: tuple(np.flatnonzero(acts[:, dof]).tolist())
+            for dof in np.flatnonzero(acts.any(axis=0) & ~shared).tolist()
+        }
 
     def forces(self, commands: Array) -> Array:
         """Compute the forces under commands.
@@ -318,14 +340,11 @@ class LinearDrives:
         (n, nv) array
             Generalised forces [N, N m].
         """
-        out = self.bias.copy()
-        for i, dof in enumerate(self.dofs.tolist()):
-            out[:, dof] += self.gains[:, i] * commands[:, i]
-        return out
+        return np.asarray(self.bias + (self.gains * commands) @ self.moments)
 
 
 def linear_drives(model: mujoco.MjModel, positions: Array, velocities: Array) -> LinearDrives:
-    """Compute the forces of motors and servos at joints, without their limits.
+    """Compute the forces of motors and servos at joints and fixed tendons, without their limits.
 
     Parameters
     ----------
@@ -341,26 +360,47 @@ def linear_drives(model: mujoco.MjModel, positions: Array, velocities: Array) ->
     Raises
     ------
     Incompatible
-        If an actuator does not drive a hinge or slide, or has another law of force.
+        If an actuator drives neither a hinge or slide nor a fixed tendon, or has another law of
+        force.
     """
-    known_drives = {i for _, ids in motors(model) for i in ids}
+    known_laws = _have_known_law(model)
     n = len(positions)
     bias = np.zeros((n, model.nv))
     gains = np.zeros((n, model.nu))
-    dofs = np.zeros(model.nu, dtype=np.int64)
+    moments = np.zeros((model.nu, model.nv))
     for actuator in actuators(model):
-        joint = actuator.joint
         i = actuator.id
-        if joint is None or i not in known_drives:
+        line = _line_of(model, actuator)
+        if line is None or not known_laws[i]:
             raise Incompatible(
                 f"The actuator {actuator.name!r} is neither a motor nor a position or velocity "
-                "servo of a hinge or slide, so its force is not known from the state."
+                "servo of a hinge, a slide or a fixed tendon, so its force is not known from the "
+                "state."
             )
+        at_positions, moments[i] = line
         gear = float(model.actuator_gear[i, 0])
-        gain, constant = _gain_and_bias(
-            model, i, positions[:, joint.qpos], velocities[:, joint.qvel]
-        )
+        gain, constant = _gain_and_bias(model, i, positions @ at_positions, velocities @ moments[i])
         gains[:, i] = gear * gain
-        bias[:, joint.qvel] += gear * constant
-        dofs[i] = joint.qvel
-    return LinearDrives(bias, gains, dofs)
+        bias += np.multiply.outer(np.broadcast_to(gear * constant, n), moments[i])
+    return LinearDrives(bias, gains, moments)
+
+
+def _line_of(model: mujoco.MjModel, actuator: Actuator) -> tuple[Array, Array] | None:
+    """The derivatives of an actuator's length, before its gear, by all positions (nq,) and (nv,).
+
+    None where it drives neither a hinge or slide nor a fixed tendon.
+    """
+    joint = actuator.joint
+    coefficients: dict[int, float] = {}
+    if joint is not None and joint.kind in ("slide", "hinge"):
+        coefficients = {joint.id: 1.0}
+    elif model.actuator_trntype[actuator.id] == mujoco.mjtTrn.mjTRN_TENDON:
+        coefficients = tendon_coefficients(model, int(model.actuator_trnid[actuator.id, 0]))
+    if not coefficients:
+        return None
+    at_positions = np.zeros(model.nq)
+    at_velocities = np.zeros(model.nv)
+    for i, coefficient in coefficients.items():
+        at_positions[model.jnt_qposadr[i]] = coefficient
+        at_velocities[model.jnt_dofadr[i]] = coefficient
+    return at_positions, at_velocities
