@@ -25,7 +25,7 @@ def with_families(model: FarOffModel, names: Sequence[str]) -> FarOffModel:
     """Add effects at every place where the model neither has nor declares them.
 
     Joints that follow others by an equality constraint are no places. Where drives move joints
-    through tendons, laws are along these.
+    through tendons, laws are along these, unless the model has them at the joints.
 
     Parameters
     ----------
@@ -46,6 +46,9 @@ def with_families(model: FarOffModel, names: Sequence[str]) -> FarOffModel:
     moved = moved_by_tendons(simulator.model)
     by_tendons = {joint.name for joint in joints(simulator.model) if joint.qvel in moved}
     pulled = {line.tendon.name for line in fixed_tendons(simulator.model) if line.driven}
+    laws = {one.target for one, _ in model.numbers if one.effect in ALONG_TENDONS}
+    if laws & by_tendons:  # regression says that they are at the joints
+        by_tendons = pulled = set()
     for name in names:
         taken = {instance.label for instance, _ in model.numbers}
         offered = list(instances_of(simulator.effect_context, name))

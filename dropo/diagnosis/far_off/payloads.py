@@ -9,9 +9,7 @@ from dropo.diagnosis.far_off.output_error import OutputError
 from dropo.diagnosis.search.library import declared, robot_of
 
 
-def promised_payload(
-    model: FarOffModel, error: OutputError
-) -> tuple[EffectInstance, Array] | None:
+def promised_payload(model: FarOffModel, error: OutputError) -> tuple[EffectInstance, Array] | None:
     """Find the payload that promises to lower the cost of motions most.
 
     A point mass is tried at several places of every body, by what it changes in proportion to its

@@ -296,14 +296,14 @@ class Chooser:
         Of as many things the likelier one is chosen, with a price for each of its numbers; what is
         likelier may also leave more at some joint. One of more things must be far likelier.
         """
-        better = self._criterion(other) < self._criterion(found) - self.settings.decisive
+        better = self.criterion(other) < self.criterion(found) - self.settings.decisive
         less = self._is_large(other, found)
         if (less and not better) or self._has_idle_drive(other):
             return False
         fewer = self._candidates_in(found) - self._candidates_in(other)
         if fewer < 0:
             price = self.settings.further * float(self.fitter.equation.used.sum())
-            return self._criterion(other) - fewer * price < self._criterion(found)
+            return self.criterion(other) - fewer * price < self.criterion(found)
         if fewer:
             return True
         return better or self._is_large(found, other)
@@ -316,8 +316,19 @@ class Chooser:
             if self.fitter.terms[i].family == OWN_GAIN
         )
 
-    def _criterion(self, solution: Solution) -> float:
-        """Schwarz's criterion [nats]: the less, the better."""
+    def criterion(self, solution: Solution) -> float:
+        """Compute Schwarz's criterion: the less, the better.
+
+        Parameters
+        ----------
+        solution : Solution
+            The numbers.
+
+        Returns
+        -------
+        float
+            The cost, with a price for each number that motions tell [nats].
+        """
         count = len(solution.chosen) + self._is_late(solution) + self._told_of_payload(solution)
         rows = max(float(self.fitter.equation.used.sum()), 1.0)
         return self.fitter.badness(solution) + 0.5 * float(np.log(rows)) * count

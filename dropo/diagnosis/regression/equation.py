@@ -678,13 +678,12 @@ def _stretch_equation(
         drives.forces(apply_kernel(held_kernel(width, log.step, delay), commands))
         for delay in delays.tolist()
     ]
-    noise = log.noise * np.sqrt(np.sum(kernels[1] ** 2))
-    still_speed = np.maximum(settings.still * speed, settings.still_noise * noise)
-    still_speed = np.maximum(still_speed, settings.stuck)  # of a joint that never moves
-    still = np.abs(velocity) < still_speed
+    still = _is_still(log, velocity, kernels[1], speed, settings)
     # Dry friction acted before the first kernel: it passes that kernel as all other forces did.
-    sign = np.tanh(velocity / np.maximum(settings.slow * speed, 1e-300))
+    sign = _signs(velocity, settings.slow * speed)
     direction = apply_kernel(kernels[0], sign)
+    along, rubbing = _tendons(model, velocity, kernels[0], settings)
+    rubbing += dry_frictions(model) * direction
 
     smooth = derivative_kernels(second, log.step)[0]
     every = max(1, round(settings.thin * second / log.step))
@@ -700,13 +699,6 @@ def _stretch_equation(
     by_gravity = motion.by_gravity
     at_dofs = _at_dofs(log, position)
     by_joint: dict[str, Array] = {}
-    lines = fixed_tendons(model)
-    moments = np.array([line.moments for line in lines]).reshape(len(lines), model.nv)
-    along = velocity @ moments.T
-    usual = np.sqrt(np.mean(along**2, axis=0))
-    along = apply_kernel(kernels[0], np.tanh(along / np.maximum(settings.slow * usual, 1e-300)))
-    rubbing = dry_frictions(model) * direction
-    rubbing = rubbing + (along * [line.friction for line in lines]) @ moments
     free = _free_of_constraints(model, log.followers, position, velocity, still, REACH * width)
     if free is not None:
         own = {
@@ -747,6 +739,34 @@ def _stretch_equation(
         "used": used,
         "time": kept * log.step,
     }
+
+
+def _signs(speeds: Array, slow: Array) -> Array:
+    """(n, k) the signs of speeds, which fade out where these are slow (k,)."""
+    return np.asarray(np.tanh(speeds / np.maximum(slow, 1e-300)))
+
+
+def _is_still(
+    log: UniformLog, velocity: Array, kernel: Array, speed: Array, settings: EquationSettings
+) -> NDArray[np.bool_]:
+    """(n, nv) whether a joint rests, by velocities that a kernel makes; speed: (nv,) its usual."""
+    noise = log.noise * np.sqrt(np.sum(kernel**2))
+    least = np.maximum(settings.still * speed, settings.still_noise * noise)
+    return np.asarray(np.abs(velocity) < np.maximum(least, settings.stuck))  # stuck: never moves
+
+
+def _tendons(
+    model: Model, velocity: Array, kernel: Array, settings: EquationSettings
+) -> tuple[Array, Array]:
+    """The direction of motion (n, T) along fixed tendons, and the forces (n, nv) of their own dry
+    friction.
+    """
+    lines = fixed_tendons(model)
+    moments = np.array([line.moments for line in lines]).reshape(len(lines), model.nv)
+    speeds = velocity @ moments.T
+    signs = _signs(speeds, settings.slow * np.sqrt(np.mean(speeds**2, axis=0)))
+    along = apply_kernel(kernel, signs)
+    return along, (along * [line.friction for line in lines]) @ moments
 
 
 def _at_dofs(log: UniformLog, position: Array) -> Array:

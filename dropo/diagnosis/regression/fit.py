@@ -146,6 +146,8 @@ class Fitter:
         What a payload weighs at most [kg]: one that outweighs the machine is a wrong gain.
     settings : FitSettings
         How.
+    along_tendons : bool
+        Whether laws are along the tendons by which drives move joints, or at the joints.
     """
 
     equation: Equation
@@ -153,6 +155,7 @@ class Fitter:
     reaches: Sequence[float]
     heaviest: float = np.inf
     settings: FitSettings = SETTINGS
+    along_tendons: bool = True
     columns: Array = field(init=False)
     _drives: CubicSpline = field(init=False)
 

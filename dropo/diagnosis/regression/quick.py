@@ -52,6 +52,7 @@ from dropo.mjmodel.bodies import extent, moving_bodies, moving_mass
 from dropo.mjmodel.joints import joints
 from dropo.mjmodel.options import physics_step
 from dropo.mjmodel.robot_simulator import RobotSimulator
+from dropo.mjmodel.tendons import moved_by_tendons
 
 
 @dataclass(frozen=True)
@@ -291,7 +292,7 @@ class QuickDiagnose:
     ) -> tuple[JointForces, ...]:
         """What the drives give at each joint along data held out, and what is not explained."""
         simulator = robot_of(problem)
-        terms = terms_of(simulator, equation)
+        terms = terms_of(simulator, equation, along_tendons=estimate.fitter.along_tendons)
         by_label = {(term.label, term.quantity): i for i, term in enumerate(terms)}
         fitter = replace(estimate.fitter, equation=equation, terms=terms)
         solution = estimate.solution
@@ -380,7 +381,7 @@ class QuickDiagnose:
             )
         except BadArgument:
             return ()
-        fitter = _fitter(simulator, equation, self.settings)
+        fitter = _fitter(simulator, equation, self.settings, estimate.fitter.along_tendons)
         left = np.where(equation.used, fitter.residuals(fitter.refined(fitter.start(()))), np.nan)
         floor = root_mean_square(left)
         places = {joint.name: joint.qvel for joint in joints(simulator.model)}
@@ -434,13 +435,13 @@ def estimate_missing(
     """
     simulator = robot_of(problem)
     equation = equation_of(problem, trajectories, settings.equation)
-    fitter = _fitter(simulator, equation, settings)
     wide_equation = equation_of(
         problem, trajectories, settings.equation, width=settings.widen * equation.width
     )
-    wide = _fitter(simulator, wide_equation, settings)
-    chooser = Chooser(fitter, settings.choice)
-    solution = most_plausible(fitter, chooser.run(), settings.similarity, settings.plausibility)
+    chooser, solution = _chosen(simulator, equation, settings)
+    fitter = chooser.fitter
+    wide = _fitter(simulator, wide_equation, settings, fitter.along_tendons)
+    solution = most_plausible(fitter, solution, settings.similarity, settings.plausibility)
     bodies = [name for _, name in moving_bodies(simulator.model)]
     while True:
         errors = _errors(simulator, fitter, wide, solution, settings)
@@ -449,6 +450,22 @@ def estimate_missing(
         if doubtful is None:
             return found
         solution = fitter.refined(fitter.solve(found.without(doubtful)))
+
+
+def _chosen(
+    simulator: RobotSimulator, equation: Equation, settings: QuickSettings
+) -> tuple[Chooser, Solution]:
+    """What is chosen; where drives pull tendons, of laws along these or at the joints."""
+    chooser = Chooser(_fitter(simulator, equation, settings, along_tendons=True), settings.choice)
+    solution = chooser.run()
+    if equation.by_joint or not moved_by_tendons(simulator.model):
+        return chooser, solution
+    other = Chooser(_fitter(simulator, equation, settings, along_tendons=False), settings.choice)
+    at_joints = other.run()
+    margin = settings.choice.decisive
+    if other.criterion(at_joints) < chooser.criterion(solution) - margin:
+        return other, at_joints
+    return chooser, solution
 
 
 def _errors(
@@ -495,7 +512,8 @@ def _with_bias(
     again = resimulated(extended, trajectories, settings.resimulation)
     if again is None:
         return estimate
-    fitter = _fitter(simulator, equation_of(problem, again, settings.equation), settings)
+    equation = equation_of(problem, again, settings.equation)
+    fitter = _fitter(simulator, equation, settings, estimate.fitter.along_tendons)
     if [term.label for term in fitter.terms] != [term.label for term in estimate.fitter.terms]:
         return estimate
     own = fitter.start(solution.chosen)
@@ -657,9 +675,12 @@ def _not_looked_for(simulator: RobotSimulator) -> list[str]:
     ]
 
 
-def _fitter(simulator: RobotSimulator, equation: Equation, settings: QuickSettings) -> Fitter:
+def _fitter(
+    simulator: RobotSimulator, equation: Equation, settings: QuickSettings, along_tendons: bool
+) -> Fitter:
     """What fits the numbers of an equation."""
     model = simulator.model
     reaches = [settings.reach * extent(model, body) for body, _ in moving_bodies(model)]
-    terms: list[Term] = terms_of(simulator, equation)
-    return Fitter(equation, terms, reaches, moving_mass(model), settings.fit)
+    terms: list[Term] = terms_of(simulator, equation, along_tendons=along_tendons)
+    heaviest = moving_mass(model)
+    return Fitter(equation, terms, reaches, heaviest, settings.fit, along_tendons=along_tendons)

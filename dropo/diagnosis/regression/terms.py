@@ -70,7 +70,9 @@ INERTIAL = ("mass", "com", INERTIA)
 """Families of terms whose scale is that of the masses; those of one body are one candidate."""
 
 
-def terms_of(simulator: RobotSimulator, equation: Equation) -> list[Term]:
+def terms_of(
+    simulator: RobotSimulator, equation: Equation, *, along_tendons: bool = True
+) -> list[Term]:
     """List the terms of a robot but for the drives' common gain, delays and payloads.
 
     Parameters
@@ -79,6 +81,9 @@ def terms_of(simulator: RobotSimulator, equation: Equation) -> list[Term]:
         The robot.
     equation : Equation
         Its equation of motion along a log.
+    along_tendons : bool
+        Whether rotors and friction are along the tendons by which drives move joints, or at the
+        joints.
 
     Returns
     -------
@@ -87,12 +92,13 @@ def terms_of(simulator: RobotSimulator, equation: Equation) -> list[Term]:
     """
     model = model_of(simulator)
     found: list[Term] = []
-    by_tendon = frozenset() if equation.by_joint else moved_by_tendons(model)
+    along_tendons = along_tendons and not equation.by_joint
+    by_tendon = moved_by_tendons(model) if along_tendons else frozenset()
     for joint in independent_joints(simulator):
         own = _joint_terms(model, joint, equation)
         found += [term for term in own if joint.qvel not in by_tendon or term.family not in LAWS]
     for line, direction in zip(equation.tendons, equation.along_tendons.T, strict=True):
-        if line.driven and not equation.by_joint:
+        if line.driven and along_tendons:
             found += _tendon_terms(line, direction, equation, physics_step(model))
     if equation.floating:  # the weight of a free base fixes the scale of each drive
         found += _gain_terms(model, equation)
@@ -196,7 +202,10 @@ def _joint_terms(model: Model, joint: Joint, equation: Equation) -> list[Term]:
 def _tendon_terms(
     line: FixedTendon, direction: Array, equation: Equation, step: float
 ) -> list[Term]:
-    """Rotor and friction along a tendon; direction: (R,) of its motion; step: of the physics [s]."""
+    """Rotor and friction along a tendon.
+
+    direction: (R,) of its motion; step: of the physics [s].
+    """
     tendon = line.tendon
 
     def term(quantity: str, unit: str, rows: Array, base: float, least: float) -> Term:

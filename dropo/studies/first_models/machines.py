@@ -48,6 +48,9 @@ class Design:
         The axis along which each body extends; "z" of all of them where it is empty.
     rate : float
         What a servo gives against each rad/s, as a fraction of what it gives for each rad [s].
+    coupled : bool
+        Whether the last two joints are hinges of a differential: the last two drives pull tendons,
+        one by the sum and one by the difference of the joints' angles.
     """
 
     axes: tuple[str, ...]
@@ -58,6 +61,7 @@ class Design:
     loaded: bool = True
     along: tuple[str, ...] = ()
     rate: float = 0.08
+    coupled: bool = False
 
 
 DESIGNS = {
@@ -75,6 +79,13 @@ DESIGNS = {
         (0.2, 0.2, 0.3, 0.15),
         (6.0, 3.0, 1.5, 0.5),
         (3000.0, 2000.0, 1500.0, 20.0),
+    ),
+    "gantry with a coupled wrist": Design(
+        ("slide x", "slide y", "slide z", "hinge y", "hinge x"),
+        (0.2, 0.2, 0.3, 0.15, 0.1),
+        (6.0, 3.0, 1.5, 0.5, 0.4),
+        (3000.0, 2000.0, 1500.0, 20.0, 20.0),
+        coupled=True,
     ),
     "pendulum on a motor": Design(("hinge y",), (0.5,), (0.6,), (4.0,), servos=False, loaded=False),
     "two links on motors": Design(
@@ -100,6 +111,8 @@ class MissingNumbers:
         What is added to the drives' gain, or to that of each, as a fraction of it.
     delay : float
         Of the commands [s].
+    coupled : bool
+        Whether the last two rotors and frictions are along tendons.
     """
 
     armature: Array
@@ -109,6 +122,7 @@ class MissingNumbers:
     place: Array
     gain: float | Array
     delay: float = 0.006
+    coupled: bool = False
 
     def numbers(self) -> Numbers:
         """Give what is missing.
@@ -119,11 +133,13 @@ class MissingNumbers:
             By effect, place and quantity.
         """
         found: Numbers = {}
-        for i in range(len(self.armature)):
-            joint = f"joint{i}"
-            found["joint_armature", joint, "armature"] = float(self.armature[i])
-            found["joint_damping", joint, "damping"] = float(self.damping[i])
-            found["joint_friction", joint, "frictionloss"] = float(self.friction[i])
+        count = len(self.armature)
+        for i in range(count):
+            kind = "tendon" if self.coupled and i >= count - 2 else "joint"
+            place = f"{kind}{i}"
+            found[f"{kind}_armature", place, "armature"] = float(self.armature[i])
+            found[f"{kind}_damping", place, "damping"] = float(self.damping[i])
+            found[f"{kind}_friction", place, "frictionloss"] = float(self.friction[i])
         drive = "drive0" if len(self.armature) == 1 else None
         if isinstance(self.gain, float):
             found["actuator_gain", drive, "gain"] = self.gain
@@ -148,7 +164,8 @@ def first_model(design: Design) -> mujoco.MjSpec:
     Returns
     -------
     mujoco.MjSpec
-        With a joint "joint0", ... and a drive "drive0", ... for each body.
+        With a joint "joint0", ... and a drive "drive0", ... for each body; tendons have the numbers
+        of their drives.
     """
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
@@ -174,9 +191,18 @@ def first_model(design: Design) -> mujoco.MjSpec:
             conaffinity=0,
         )
         place = end
+    count = len(design.gains)
+    if design.coupled:
+        for i, sign in ((count - 2, 1.0), (count - 1, -1.0)):
+            tendon = spec.add_tendon(name=f"tendon{i}")
+            tendon.wrap_joint(f"joint{count - 2}", 1.0)
+            tendon.wrap_joint(f"joint{count - 1}", sign)
     for i, gain in enumerate(design.gains):
-        drive = spec.add_actuator(name=f"drive{i}", target=f"joint{i}")
-        drive.trntype = mujoco.mjtTrn.mjTRN_JOINT
+        by_tendon = design.coupled and i >= count - 2
+        drive = spec.add_actuator(
+            name=f"drive{i}", target=f"tendon{i}" if by_tendon else f"joint{i}"
+        )
+        drive.trntype = mujoco.mjtTrn.mjTRN_TENDON if by_tendon else mujoco.mjtTrn.mjTRN_JOINT
         if design.servos:
             drive.set_to_position(kp=gain, kv=design.rate * gain)
         else:
@@ -211,6 +237,7 @@ def random_machine(design: Design, rng: Generator) -> MissingNumbers:
         payload=float(design.masses[-1] * rng.uniform(0.5, 2.0)) * design.loaded,
         place=rng.uniform(-0.05, 0.05, 3) + np.array([0.0, 0.0, 0.08]),
         gain=float(rng.uniform(-0.25, -0.05)) * design.loaded,
+        coupled=design.coupled,
     )
 
 
@@ -246,10 +273,13 @@ def built(spec: mujoco.MjSpec, machine: MissingNumbers) -> mujoco.MjSpec:
         The machine, simulated `FINER` times finer than the model.
     """
     made = spec.copy()
-    for i, joint in enumerate(made.joints):
-        joint.armature = machine.armature[i]
-        joint.damping = [machine.damping[i], 0, 0]
-        joint.frictionloss = machine.friction[i]
+    lines = list(made.joints)
+    if machine.coupled:
+        lines[-2:] = made.tendons
+    for i, line in enumerate(lines):
+        line.armature = machine.armature[i]
+        line.damping = [machine.damping[i], 0, 0]
+        line.frictionloss = machine.friction[i]
     if machine.payload:
         payload = made.bodies[-1].add_body(name="payload", pos=machine.place)
         payload.add_geom(

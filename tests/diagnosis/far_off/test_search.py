@@ -128,6 +128,30 @@ def test_drives_that_differ_are_no_payload():
     assert explained.model.theta[-1] == pytest.approx(0.3, abs=4 * explained.errors[-1])
 
 
+def test_a_payload_is_found_beside_gains_that_differ():
+    """On its body, with its pull; where nothing is on it, there is none."""
+    gains = ("actuator_gain:shoulder_motor", "actuator_gain:elbow_motor")
+    loaded = hide("torque-arm", ["payload:fore=0.2,0.15,0,0"], seed=0, threads=1)
+    search = FarOffSearch(SETTINGS, silent)
+    arm = torque_arm(*gains, problem=loaded)
+    found = search._with_payload(arm, search_sides(arm))
+    ((instance, (mass, x, *_)),) = found.numbers[2:]
+    assert instance.label == "payload:fore"
+    assert mass * x == pytest.approx(0.2 * 0.15, rel=0.05)
+    bare = torque_arm(*gains, problem=hide("torque-arm", [], seed=0, threads=1))
+    assert search._with_payload(bare, search_sides(bare)) is bare
+
+
+def test_numbers_begin_at_nothing_where_regression_is_worse_than_that():
+    """A rotor of a hundred times its size is forgotten; the true one is not."""
+    arm = torque_arm("joint_armature:elbow")
+    search = FarOffSearch(SETTINGS, silent)
+    wrong = arm.at(np.append(arm.declared, 100 * TRUTH))
+    assert search._begun(wrong, search_sides(wrong)).theta[-1] == 0.0
+    right = arm.at(np.append(arm.declared, TRUTH))
+    assert search._begun(right, search_sides(right)) is right
+
+
 def test_data_held_out_decide_nothing():
     """Others in their place, and all numbers are the same; other fitted data, and they are not."""
     problem = unknown_rotor()
