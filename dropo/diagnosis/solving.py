@@ -96,7 +96,10 @@ def solved(
         noise = other_noise(setup.library, found.last.train, setup.selection.floor, settings)
         if noise is None:
             return setup, found, None
-        again, anew = search_effects(_coloured(setup, noise))
+        coloured = _coloured(setup, noise)
+        if np.abs(noise.rho).max() < settings.weak:
+            coloured = replace(coloured, begun=_begun_with(coloured, found.last))
+        again, anew = search_effects(coloured)
         if anew.interrupted:
             # What was found before is whole; half a search under other premises is not.
             return setup, replace(found, interrupted=True), None
@@ -130,6 +133,17 @@ def _further(setup: SearchSetup, under: str) -> Selection:
 def _coloured(setup: SearchSetup, noise: WindowNoise) -> SearchSetup:
     """A setup with noise that is not white, whose search has not begun."""
     return replace(setup, selection=_anew(setup, "noise that is not white"), noise=noise)
+
+
+def _begun_with(setup: SearchSetup, last: State) -> tuple[State, State]:
+    """The model as it is, and one that another search ended with, under a setup's noise."""
+    first = setup.first()
+    noise = first.train.whiten.noise
+    selection = setup.selection
+    state = selection.without_fitting(
+        setup.train, setup.test, last.theta, noise, last.free, last.accepted
+    )
+    return first, selection.polish(state)
 
 
 def _stepped(setup: SearchSetup, alternatives: ArithmeticAlternatives) -> SearchSetup:

@@ -45,7 +45,8 @@ def test_half_a_search_under_other_noise_does_not_count(monkeypatch):
     half = SearchedEffects(None, SimpleNamespace(train=None), {}, interrupted=True)
     answers = [before, half]
     monkeypatch.setattr(solving, "search_effects", lambda setup: (setup, answers.pop(0)))
-    monkeypatch.setattr(solving, "other_noise", lambda *given: "coloured")
+    coloured = SimpleNamespace(rho=np.array([0.9]))
+    monkeypatch.setattr(solving, "other_noise", lambda *given: coloured)
     monkeypatch.setattr(solving, "_anew", lambda setup, under: setup.selection)
     setup = setup_of_nothing()
     found = solving.solved(setup, WhitenessSettings(), lambda *_: None)
@@ -53,6 +54,24 @@ def test_half_a_search_under_other_noise_does_not_count(monkeypatch):
     assert found[1].last is last
     assert found[1].interrupted
     assert answers == []
+
+
+@pytest.mark.parametrize(("rho", "goes_on"), [(-0.1, True), (0.9, False)])
+def test_under_weakly_coloured_noise_a_search_goes_on(monkeypatch, rho, goes_on):
+    """With what was found; where noise is strong, that may stand for it, and all is done anew."""
+    asked = []
+
+    def searched(setup):
+        asked.append(setup.begun)
+        return setup, SearchedEffects(None, SimpleNamespace(train=None), {})
+
+    coloured = SimpleNamespace(rho=np.array([0.0, rho]))
+    monkeypatch.setattr(solving, "search_effects", searched)
+    monkeypatch.setattr(solving, "other_noise", lambda *given: coloured)
+    monkeypatch.setattr(solving, "_anew", lambda setup, under: setup.selection)
+    monkeypatch.setattr(solving, "_begun_with", lambda setup, last: "found")
+    solving.solved(setup_of_nothing(), WhitenessSettings(), lambda *_: None)
+    assert asked == [None, "found" if goes_on else None]
 
 
 @pytest.mark.parametrize("left", [None, "left"])

@@ -43,6 +43,9 @@ class FarOffSettings:
     laws : tuple of str
         Effects that every joint has: those that regression leaves out are not certain to be none,
         and without them the scale of all forces would seem known.
+    usual : tuple of str
+        Effects that a machine usually has: they are left out only where the others make up for them
+        by a linear step. Without any other kind, all numbers are fitted anew before it is kept.
     families : tuple of tuple of str
         Effects that are tried at every joint or drive where motions are not explained, one group
         after another, then all that were refused together.
@@ -91,6 +94,7 @@ class FarOffSettings:
     """
 
     laws: tuple[str, ...] = ("joint_friction", "joint_damping", "joint_armature")
+    usual: tuple[str, ...] = (PAYLOAD, "actuator_delay")
     families: tuple[tuple[str, ...], ...] = (
         ("actuator_gain",),
         ("actuator_bias", "joint_friction", "joint_damping", "joint_armature"),
@@ -375,7 +379,8 @@ class FarOffSearch:
     def _with_own_gains(self, model: FarOffModel, sides: _Sides) -> FarOffModel:
         """A gain for each drive, where that is better than one for all, or as good as a payload.
 
-        One gain for all drives that differ shows as a payload: without it, gains have a say.
+        One gain for all drives that differ shows as a payload: without it, gains have a say, and
+        where it stays, they have it beside it.
         """
         payloads = [instance.label for instance, _ in model.numbers if instance.effect == PAYLOAD]
         apart = with_families(model.without(payloads), (GAIN,))
@@ -388,6 +393,8 @@ class FarOffSearch:
             chosen = model if self._is_better(model, apart, sides) else apart
         else:
             chosen = apart if self._is_better(apart, model, sides) else model
+        if payloads and chosen is model:
+            chosen = self._better(model, with_families(model, (GAIN,)), sides)
         self._latest = chosen, sides.fitted
         return chosen
 
@@ -446,7 +453,12 @@ class FarOffSearch:
                 labels = [one.label for one, _ in model.numbers if one.effect == name]
                 theta = _theta_without(model, end, labels)
                 moved = model.at(theta).without(labels)
-                if not self._is_better(model, moved, sides, self.settings.needless):
+                needed = self._is_better(model, moved, sides, self.settings.needless)
+                if needed and name not in self.settings.usual:
+                    # Far from here, the others may still make up for it.
+                    moved = self._fit(moved, sides.few, self.settings.rough_fit)
+                    needed = self._is_better(model, moved, sides, self.settings.needless)
+                if not needed:
                     loss = self._gains(model, moved, sides.held_out)[0].sum()
                     needless.append((loss, name, moved))
             if not needless:

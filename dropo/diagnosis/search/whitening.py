@@ -41,12 +41,16 @@ class WhitenessSettings:
         First guess of how control steps differ in length, as a fraction of one.
     minimum_gain : float
         Nats that each kind of noise must gain over a simpler one.
+    weak : float
+        Autoregressive coefficient below which errors that follow each other hardly look like
+        effects: a search goes on with those found before, and leaves what is none.
     """
 
     z: float = 3.0
     clear: float = 10.0
     timing: float = 0.05
     minimum_gain: float = 10.0
+    weak: float = 0.3
 
 
 SETTINGS = WhitenessSettings()
