@@ -20,6 +20,8 @@ from dropo.core.services.validation import Array, require
 
 ROTATIONS = (".rx", ".ry", ".rz")
 """Ends of the names of a quaternion's signals, compared in the chart at the measurement."""
+MANY = 4
+"""Windows of a trajectory from which on one of them may be lost."""
 
 
 @dataclass(frozen=True)
@@ -163,7 +165,7 @@ def _blocks(data: Trajectories, horizon: int, settings: HeldOutSettings) -> Ints
     return block
 
 
-def window_starts(part: DataPart, horizon: int, stride: int = 1) -> Ints:
+def window_starts(part: DataPart, horizon: int, stride: int = 1, skipped: int = 0) -> Ints:
     """Return the rows at which windows of a part may begin.
 
     Parameters
@@ -174,6 +176,9 @@ def window_starts(part: DataPart, horizon: int, stride: int = 1) -> Ints:
         Control steps in a window; none crosses the end of a trajectory or a block.
     stride : int
         Control steps from the beginning of one window to that of the next in the same block.
+    skipped : int
+        Control steps at the beginning of each trajectory at which none begins; fewer where that
+        would cost one of its few windows.
 
     Returns
     -------
@@ -190,7 +195,17 @@ def window_starts(part: DataPart, horizon: int, stride: int = 1) -> Ints:
     edges = np.flatnonzero(np.diff(part.block) != 0) + 1
     stops = [stop for _, stop in data.spans]
     ends = sorted({0, len(data), *edges.tolist(), *stops})
-    starts = [np.arange(a, b - horizon + 1, stride) for a, b in pairwise(ends) if part.chosen[a]]
+    first = {start for start, _ in data.spans}
+    starts = []
+    for a, b in pairwise(ends):
+        if not part.chosen[a]:
+            continue
+        last = b - horizon
+        offset = 0
+        if skipped and a in first:
+            windows, spare = divmod(last - a, stride)
+            offset = skipped if windows + 1 >= MANY else min(skipped, spare)
+        starts.append(np.arange(a + offset, last + 1, stride))
     return np.concatenate([np.zeros(0, dtype=np.int64), *starts]).astype(np.int64)
 
 

@@ -28,12 +28,16 @@ class WindowSettings:
         ... of which there are then about so many: enough for the standard error of a sum.
     at_rest : float
         A window is at rest if no column moves by more than this fraction of its spread.
+    one_sided : int
+        Control steps at the beginning of a trajectory whose velocities, where they were estimated,
+        rest on positions of one side, and are far off where motion sets in: no window begins there.
     """
 
     fewest: int = 8
     few_blocks: int = 8
     blocks: int = 24
     at_rest: float = 0.01
+    one_sided: int = 10
 
 
 SETTINGS = WindowSettings()
@@ -155,7 +159,8 @@ def cut(
     BadArgument
         If there are fewer windows than `settings.fewest`.
     """
-    starts = window_starts(part, length, stride=length + 1)
+    skipped = settings.one_sided if problem.estimated else 0
+    starts = window_starts(part, length, stride=length + 1, skipped=skipped)
     starts = _moving(problem, part, starts, length, settings)
     if len(starts) < settings.fewest:
         data = problem.trajectories
