@@ -41,7 +41,8 @@ class FarOffLimits:
         Where fewer than so many are, a few causes may explain what regression took for more: they
         are looked for where whole motions leave something.
     gain : float
-        A model is also far off for certain if the drives' gain is off by this fraction or more.
+        A model is also far off for certain if the drives' gain is off by this fraction or more, and
+        no few causes explain it.
     forces : float
         A model may be far off if it leaves more than this fraction of the drives' forces; motions
         are asked then.
@@ -172,7 +173,7 @@ def _far_off(
     if problem.held_out is not None:
         fitted, checked = sides(replace(problem, held_out=None), settings.checked)
         divided = replace(problem, trajectories=fitted, held_out=checked)
-    few = len(named) < limits.many
+    few = len(named) < limits.many and abs(estimate.solution.gain) < limits.gain
     return FarOffStart(FarOffModel(divided, values, free, tuple(numbers)), whole, sure, few)
 
 
