@@ -410,7 +410,14 @@ class Diagnose:
         """What a search found, in figures; of one that was interrupted, only what is soon found."""
         library, selection, last = setup.library, setup.selection, searched.last
         selection.progress(0.9, "what remains")
-        rest, forces = remaining(setup.problem, library, last, selection.floor, task.rng)
+        rest, forces = remaining(
+            setup.problem,
+            library,
+            last,
+            selection.floor,
+            task.rng,
+            by_motions=setup.explained is not None,
+        )
         further = self._further(setup, searched, rest, task.rng)
         if further is not None:
             return self._result(task, *further, progress)

@@ -487,7 +487,9 @@ class FarOffSearch:
     def _fit(
         self, model: FarOffModel, motions: Motions, settings: OutputErrorSettings
     ) -> FarOffModel:
-        """A model with its numbers fitted to motions."""
+        """A model with its numbers, if there are any, fitted to motions."""
+        if not len(model.fitted):
+            return model
         error = self._error(model, motions, settings)
         found: list[Array] = []
         try:

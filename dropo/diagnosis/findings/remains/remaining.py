@@ -48,6 +48,8 @@ def remaining(
     floor: Array,
     rng: np.random.Generator,
     settings: RemainingSettings = SETTINGS,
+    *,
+    by_motions: bool = False,
 ) -> tuple[Remaining, Unexplained]:
     """Test what a search left unexplained.
 
@@ -68,6 +70,9 @@ def remaining(
         Draws the random features of the test for structure.
     settings : RemainingSettings
         When learned noise is an error of the model.
+    by_motions : bool
+        Whether whole motions say if forces remain. Random forces then count only where velocities
+        were measured: the errors of estimated ones follow each other as if such forces acted.
 
     Returns
     -------
@@ -77,6 +82,7 @@ def remaining(
         The forces that nothing explains.
     """
     forces = unexplained_force(library, last.train, last.test, floor, gain_of)
+    present = forces.present and not (by_motions and problem.estimated)
     structure = omnibus(last.train, last.test, rng, measured=are_measured(problem))
     names = force_names(library)
     signals = library.simulator.signals
@@ -88,7 +94,7 @@ def remaining(
         where.append(f"{name}, which changes with time")
     regime = None
     sd_by_joint: dict[str, float] = {}
-    if forces.present:
+    if present:
         worst = int(np.argmax(forces.sd * forces.scale))
         joint, unit = names[worst]
         size = f"{forces.sd[worst]:.3g} {unit}"
@@ -102,7 +108,7 @@ def remaining(
     if regime:
         where.append(f"mostly {regime}")
 
-    z = max(forces.z if forces.present else 0.0, structure.z)
+    z = max(forces.z if present else 0.0, structure.z)
     p_value = float(max(normal_tail(z), np.finfo(float).tiny))
     return Remaining(not where, p_value, tuple(where), sd_by_joint), forces
 
