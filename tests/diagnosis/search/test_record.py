@@ -162,7 +162,7 @@ def test_far_off_and_interrupted(monkeypatch):
     model = torque_arm("actuator_gain")
     found = FarOffSearch(FAR_OFF, interrupting("joint_armature")).run(model)
     assert found.interrupted
-    assert [one.label for one, _ in found.model.numbers] == ["actuator_gain"]
+    assert [one.label for one, _ in found.model.numbers] == ["actuator_gain", "payload:fore"]
     with pytest.raises(KeyboardInterrupt):
         FarOffSearch(FAR_OFF, interrupting("to windows")).run(model)
     made: list[list[float]] = []

@@ -58,7 +58,7 @@ def test_windows_are_longer_where_velocities_were_estimated():
     half of that where there are not enough, and the shortest where the start's noise bends. The
     control is the same log, taken for measured.
     """
-    alone = with_velocities(_by_positions(problem([("joint_damping:elbow", [0.05])], steps=60)))
+    alone = with_velocities(_by_positions(problem([("joint_damping:elbow", [0.2])], steps=60)))
     quarter = math.ceil(SETTINGS.seconds / alone.simulator.control_step)
     assert choose_length(alone) == quarter > SETTINGS.shortest
     many = replace(SETTINGS, fewest=len(alone.trajectories) // (2 * quarter))
