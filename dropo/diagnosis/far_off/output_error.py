@@ -629,7 +629,7 @@ class OutputError:
         weights = self._weights(self.whitened(fitted.residuals, fitted.scale))
         whitener = self.motions.whitener(fitted.scale)
         columns = (whitener(np.nan_to_num(changes)) * weights).reshape(len(changes), -1)
-        rows = fitted.rows.reshape(len(fitted.rows), -1)
+        rows = fitted.rows.reshape(len(fitted.rows), columns.shape[1])
         target = fitted.target.ravel()
         inverse = self._inverse(fitted.gram + np.diag(self.known.information[fitted.free]))
         shared = columns @ rows.T
