@@ -57,6 +57,9 @@ class LawSettings:
         Formulas that are fitted by simulation for each law.
     replacing : int
         Formulas that are so fitted in the place of effects that were accepted at a joint.
+    recovered : float
+        Fraction of what those effects explain that a formula must explain before it is fitted to
+        the end.
     laws : int
         Laws that are accepted at most, each at a joint of its own.
     similarity : float
@@ -75,6 +78,7 @@ class LawSettings:
 
     refitted: int = 6
     replacing: int = 3
+    recovered: float = 0.95
     laws: int = 2
     similarity: float = 0.998
     worse: float = 0.03
@@ -211,7 +215,7 @@ def find_laws(
         tried = max(tried, pool)
         count = len(instances) + pool
         selection.progress(0.9, f"fitting laws, of {pool} terms tried")
-        found = _confirmed(selection, last, ideas, count)
+        found = _confirmed(selection, last, ideas, count, settings.recovered)
         if found is None:
             break
         law, summary, state, larger = found
@@ -572,9 +576,12 @@ def formula_of(proposal: Proposal) -> tuple[str, dict[str, float]]:
 
 
 def _confirmed(
-    selection: Selection, state: State, ideas: Sequence[_Idea], count: int
+    selection: Selection, state: State, ideas: Sequence[_Idea], count: int, recovered: float
 ) -> tuple[EffectInstance, FoundLaw, State, Library] | None:
-    """The law that data held out confirm, what is said of it, the state and library with it."""
+    """The law that data held out confirm, what is said of it, the state and library with it.
+
+    count: formulas and effects that were tried; recovered: as of `LawSettings`.
+    """
     if not ideas:
         return None
     settings = selection.settings
@@ -583,8 +590,12 @@ def _confirmed(
     needed = settings.needed_gain(count)
     for one, base in ranked[: settings.maximum_polished]:
         gain, _ = gain_of(state.train, one[0].state.train)
-        replaces = len(base.accepted) < len(state.accepted)
-        if gain <= settings.minimum_fitted_gain and not replaces:
+        needed_fit = settings.minimum_fitted_gain
+        if len(base.accepted) < len(state.accepted):
+            # What it stands for need not be explained better, with fewer numbers.
+            lost, _ = gain_of(base.train, state.train)
+            needed_fit = -max((1 - recovered) * lost, settings.usual_margin)
+        if gain <= needed_fit:
             continue
         own = _extended(selection, one[3])
         if own.only_by_feedback(one[0].state):

@@ -154,14 +154,14 @@ class Worker:
         """As `roll`, one physics step at a time, with effects that depend on the state."""
         nu = self.model.nu
         nv = self.model.nv
-        steps = inputs.shape[1]
-        trace = np.empty((len(states), steps, states.shape[1]))
-        sensors = np.empty((len(states), steps, self.model.nsensordata))
-        now = states
-        given = np.empty((len(states), 1, inputs.shape[2]))
+        count, steps = inputs.shape[:2]
+        trace = np.empty((steps, count, 1, states.shape[1]))
+        sensors = np.empty((steps, count, 1, self.model.nsensordata))
+        now = np.ascontiguousarray(states, dtype=float)
+        given = np.empty((count, 1, inputs.shape[2]))
         memory: dict[Any, Any] = {}
         adds_friction = any(one.friction is not None for one, _ in reacting)
-        models = self._models(len(states)) if adds_friction else [self.model]
+        models = self._models(count) if adds_friction else [self.model] * count
         for step in range(steps):
             given[:, 0] = inputs[:, step]
             reaction = react(self.model, now, inputs[:, step, :nu], step, reacting, memory, past)
@@ -169,21 +169,26 @@ class Worker:
             given[:, 0, nu : nu + nv] += reaction.forces
             friction = self.model.dof_frictionloss + reaction.friction
             # states that have models of their own are as many at a time as there are models
-            at_once = len(models) if adds_friction else len(states)
-            for first in range(0, len(states), at_once):
-                some = slice(first, min(first + at_once, len(states)))
-                own = models
+            for first in range(0, count, len(models)):
+                some = slice(first, min(first + len(models), count))
+                own = models[: some.stop - first]
                 if adds_friction:
-                    own = models[: some.stop - first]
                     for model, row in zip(own, friction[some], strict=True):
                         model.dof_frictionloss[:] = row
-                state, sensor = mujoco.rollout.rollout(
-                    own, [self.data], now[some], given[some], control_spec=spec
+                # The shapes are as they must be, and checking them costs as much as a step.
+                mujoco.rollout.rollout(
+                    own,
+                    [self.data],
+                    now[some],
+                    given[some],
+                    nstep=1,
+                    control_spec=spec,
+                    skip_checks=True,
+                    state=trace[step, some],
+                    sensordata=sensors[step, some],
                 )
-                trace[some, step] = state[:, 0]
-                sensors[some, step] = sensor[:, 0]
-            now = trace[:, step]
-        return trace, sensors
+            now = trace[step, :, 0]
+        return trace[:, :, 0].swapaxes(0, 1), sensors[:, :, 0].swapaxes(0, 1)
 
     def _models(self, count: int) -> list[mujoco.MjModel]:
         """Up to `count` models like this one, each for a friction of its own."""
