@@ -35,6 +35,8 @@ from dropo.diagnosis.findings.causes import causes, covariance_of, suspects
 from dropo.diagnosis.findings.figures import figure_data
 from dropo.diagnosis.findings.limits.detectable import Detectable, detectable
 from dropo.diagnosis.findings.limits.not_identifiable import undetermined
+from dropo.diagnosis.findings.limits.scale_of_forces import UntoldScale, untold_scales
+from dropo.diagnosis.findings.limits.scale_of_forces import in_words as in_words_together
 from dropo.diagnosis.findings.premises.chattering import chattering_sentences
 from dropo.diagnosis.findings.premises.miswired import miswired
 from dropo.diagnosis.findings.premises.still import (
@@ -87,6 +89,7 @@ from dropo.diagnosis.setup import (
 from dropo.diagnosis.solving import (
     solved,
     with_another_set,
+    with_known_gains,
     with_noise_left,
     without_short_delays,
     without_worse,
@@ -433,16 +436,18 @@ class Diagnose:
         if worse and not far_off and len(setup.worse) < self.settings.horizons.refused:
             further = without_worse(setup, searched, *next(iter(worse.items())))
             return self._result(task, *further, progress)
+        scales: tuple[UntoldScale, ...] = ()
         if not far_off and not searched.interrupted:
             reviews = beside_the_rest(library, last, searched.reviews)
             searched = replace(searched, reviews=reviews)
-        found = self._causes(setup, searched, of_each, worse.keys())
+            scales = untold_scales(library, last)
+        found = self._causes(setup, searched, of_each, worse.keys(), scales)
         if far_off and not found and not searched.interrupted:
             # Motions do not bear out what regression finds.
             spent = setup.spent(task)
             return self._plain._run(replace(task, spent=spent), progress)
         return self._reported(
-            task, setup, searched, Findings(found, worse, after, rest, forces, draws)
+            task, setup, searched, Findings(found, worse, after, rest, forces, draws, scales)
         )
 
     def _causes(
@@ -451,11 +456,13 @@ class Diagnose:
         searched: SearchedEffects,
         after: Sequence[AfterHorizon],
         worse: Collection[str],
+        scales: Sequence[UntoldScale],
     ) -> tuple[Cause, ...]:
         """The effects that were accepted, as causes.
 
         after: errors of models, those without each effect among them.
         worse: labels of effects with which errors after some horizon are larger.
+        scales: what numbers are told only together.
         """
         library, last, reviews, laws = setup.library, searched.last, searched.reviews, searched.laws
         complete = not searched.interrupted
@@ -475,6 +482,7 @@ class Diagnose:
             if complete
             else None,
             laws={} if laws is None else laws.laws,
+            scales=scales,
         )
 
     def _reported(
@@ -516,7 +524,11 @@ class Diagnose:
             window_steps=setup.train.length,
             nominal=nominal if len(setup.free) and not far_off else (),
             parameters=parameters,
-            undetermined=(*undetermined(library, last), *setup.ties),
+            undetermined=(
+                *undetermined(library, last),
+                *in_words_together(library, last, findings.scales),
+                *setup.ties,
+            ),
             numerics=arithmetic_of(task, setup, searched, findings.causes, rest)
             if complete
             else (),
@@ -555,6 +567,9 @@ class Diagnose:
             further = without_short_delays(setup, searched)
             if further is not None:
                 return further
+        further = with_known_gains(setup, searched)
+        if further is not None:
+            return further
         # Effects that were accepted one after another may stand for others that act together.
         doubtful = not rest.calibrated or len(searched.last.accepted) > self.settings.sure_effects
         if doubtful and not setup.compared:

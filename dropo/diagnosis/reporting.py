@@ -15,6 +15,7 @@ from dropo.diagnosis.findings.accuracy.horizons import (
 )
 from dropo.diagnosis.findings.accuracy.replay import WholeRunReplay, replay
 from dropo.diagnosis.findings.causes import leaders
+from dropo.diagnosis.findings.limits.scale_of_forces import UntoldScale
 from dropo.diagnosis.findings.premises.numerics import numerics
 from dropo.diagnosis.findings.remains.unexplained_forces import Unexplained
 from dropo.diagnosis.parts import Cause, Leader, Remaining
@@ -43,6 +44,8 @@ class Findings:
         The forces that nothing explains.
     draws : numpy.random.Generator
         For what is still to be asked.
+    scales : sequence of UntoldScale
+        What numbers are told only together.
     """
 
     causes: tuple[Cause, ...]
@@ -51,6 +54,7 @@ class Findings:
     rest: Remaining
     forces: Unexplained
     draws: np.random.Generator
+    scales: Sequence[UntoldScale] = ()
 
 
 def per_step(state: State) -> float:

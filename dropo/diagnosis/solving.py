@@ -9,6 +9,7 @@ from dropo.core.contracts.effect import EffectInstance
 from dropo.core.services.tables import number, steps_text
 from dropo.data.outliers.without_disturbances import WithoutDisturbances
 from dropo.diagnosis.findings.accuracy.every_horizon import Beyond
+from dropo.diagnosis.findings.limits.scale_of_forces import untold_scales, with_known_gain
 from dropo.diagnosis.findings.premises.numerics import refused_delay, short_delay
 from dropo.diagnosis.parts import Leader
 from dropo.diagnosis.search.arithmetic import ArithmeticAlternatives
@@ -352,6 +353,42 @@ def with_another_set(
         return None
     last, reviews = explain(setup, searched.first, better)
     return replace(setup, compared=True), replace(searched, last=last, reviews=reviews)
+
+
+def with_known_gains(
+    setup: SearchSetup, searched: SearchedEffects
+) -> tuple[SearchSetup, SearchedEffects] | None:
+    """Go on with a drive's gain as it came, where rotor inertia or friction do the same.
+
+    The data do not tell which: of a drive whose load weighs nothing, motions tell only ratios. A
+    gain that is far off is then less usual than what else is missing.
+
+    Parameters
+    ----------
+    setup : SearchSetup
+        What the search works on.
+    searched : SearchedEffects
+        What it ended with.
+
+    Returns
+    -------
+    tuple of SearchSetup and SearchedEffects or None
+        None where the data tell the gain, or it is not far off.
+    """
+    selection, last = setup.selection, searched.last
+    library = setup.library
+    for scale in untold_scales(library, last):
+        known = with_known_gain(library, last, scale)
+        if known is None:
+            continue
+        gain, theta = known
+        other = selection.polish(selection.try_set(last, theta, (gain,), (scale.other,)))
+        lost = penalized_log_likelihood(last) - penalized_log_likelihood(other)
+        if lost < selection.settings.negligible_gain:
+            selection.set_origin_to_first_batch(scale.other)
+            further, reviews = explain(setup, searched.first, other)
+            return setup, replace(searched, last=further, reviews=reviews)
+    return None
 
 
 def without_worse(

@@ -1,5 +1,6 @@
 """Which numbers motions identify only together."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +32,32 @@ class TieSettings:
 
 
 SETTINGS = TieSettings()
+
+
+@dataclass(frozen=True)
+class Member:
+    """A number that is told only together with others.
+
+    Attributes
+    ----------
+    label : str
+        What it is called.
+    unit : str
+        Its unit.
+    value : float
+        The number.
+    change : float
+        By how much it may be off.
+    """
+
+    label: str
+    unit: str
+    value: float
+    change: float
+
+    def __str__(self) -> str:
+        shown = "" if self.unit == "1" else f" {self.unit}"
+        return f"{self.label} {number(self.value, 3)} ({number(self.change, 2)}){shown}"
 
 
 def ties_of(
@@ -78,19 +105,39 @@ def ties_of(
         first = left[0]
         members = [i for i in left if abs(correlation[first, i]) > settings.alike]
         left = [i for i in left if i not in members]
-        label = labels[places[first]][0]
+        label, _ = labels[places[first]]
         sizes = [_size(labels[places[i]][1], model.theta[places[i]]) for i in members]
         if len(members) < 2 or np.all(spread[members] < settings.share * np.array(sizes)):
             continue
         total = 1 + model.theta[places[first]]
         known = min(1.0, scale * total / spread[first]) if label.startswith(GAIN) else 1.0
         changes = known * correlation[first] * spread
-        moved = [_member(*labels[places[i]], model.theta[places[i]], changes[i]) for i in members]
-        sentences.append(
-            f"These motions tell only together: {', '.join(moved)}. Each may be off by the number "
-            f"in brackets, all at once and in proportion; were {label} known, so would be the rest."
-        )
+        moved = [
+            Member(*labels[places[i]], float(model.theta[places[i]]), float(changes[i]))
+            for i in members
+        ]
+        sentences.append(told_together(moved))
     return tuple(sentences)
+
+
+def told_together(members: Sequence[Member]) -> str:
+    """Say that numbers are told only together.
+
+    Parameters
+    ----------
+    members : sequence of Member
+        The numbers; the first one is what would have to be known.
+
+    Returns
+    -------
+    str
+        A sentence.
+    """
+    moved = ", ".join(map(str, members))
+    return (
+        f"These motions tell only together: {moved}. Each may be off by the number in brackets, "
+        f"all at once and in proportion; were {members[0].label} known, so would be the rest."
+    )
 
 
 def _labels(model: FarOffModel) -> dict[int, tuple[str, str]]:
@@ -107,9 +154,3 @@ def _labels(model: FarOffModel) -> dict[int, tuple[str, str]]:
 def _size(unit: str, value: float) -> float:
     """What a number's error is compared with."""
     return 1.0 if unit == "1" else abs(value)
-
-
-def _member(label: str, unit: str, value: float, change: float) -> str:
-    """A number with its change."""
-    shown = "" if unit == "1" else f" {unit}"
-    return f"{label} {number(value, 3)} ({number(change, 2)}){shown}"

@@ -13,6 +13,7 @@ from dropo.core.numerics.tails import student_tail
 from dropo.core.services.tables import number
 from dropo.core.services.validation import Array
 from dropo.diagnosis.findings.limits.experiment import Experiment, experiments
+from dropo.diagnosis.findings.limits.scale_of_forces import UntoldScale
 from dropo.diagnosis.laws.discovery import FoundLaw
 from dropo.diagnosis.parts import (
     Alternative,
@@ -74,6 +75,7 @@ def causes(
     again: Callable[[EffectInstance, Review, Collection[Alternative]], Stability | None]
     | None = None,
     laws: Mapping[str, FoundLaw] = NO_LAWS,
+    scales: Sequence[UntoldScale] = (),
 ) -> tuple[Cause, ...]:
     """Summarize each accepted effect, in the order in which they were found.
 
@@ -102,6 +104,8 @@ def causes(
         Tries a cause on other windows, as `stability` does.
     laws : mapping of str to FoundLaw
         What is said of laws that were found, by label.
+    scales : sequence of UntoldScale
+        What numbers are told only together, which is part of their errors.
 
     Returns
     -------
@@ -114,6 +118,8 @@ def causes(
         deviations = np.zeros(len(last.theta))
         if last.accepted:
             deviations[last.free], degrees[last.free] = standard_errors(library, last)
+        for scale in scales:
+            deviations[last.free] = np.hypot(deviations[last.free], scale.changes)
     found = []
     for instance, (before, after) in zip(last.accepted, errors, strict=True):
         if named is not None and instance.label not in named:

@@ -1,0 +1,209 @@
+"""The scale of all forces of a drive, where the data do not tell it.
+
+A drive's gain is told by what else acts: masses that are known, or their weight. Where rotor
+inertia, friction and the gain are all unknown, motions tell only their ratios, and a search finds
+one set of many that do the same.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dropo.core.contracts.effect import EffectInstance
+from dropo.core.services.validation import Array
+from dropo.diagnosis.far_off.model import GAIN
+from dropo.diagnosis.far_off.ties import Member, told_together
+from dropo.diagnosis.search.linearization import Library
+from dropo.diagnosis.search.trials import State
+
+NOTHING = 0.01
+"""Fraction of a number by which it must change to be among those that are told together."""
+RANK = 1e-8
+"""Relative size of a direction in which numbers do nothing."""
+OF_FORCES = (GAIN, "joint_armature", "joint_damping", "joint_friction")
+"""The effects that are in proportion to that scale."""
+
+
+@dataclass(frozen=True)
+class ScaleSettings:
+    """When the scale of forces is not told.
+
+    Attributes
+    ----------
+    known : float
+        Standard deviation of what is known of a drive's gain without data, as a fraction of it.
+    told : float
+        Where the gain is off by that much and the other numbers make up for it, residuals must
+        change by at least so many standard deviations, or it is not told.
+    close : float
+        Fraction of the usual widths of differences.
+    """
+
+    known: float = 0.2
+    told: float = 2.0
+    close: float = 0.1
+
+
+SETTINGS = ScaleSettings()
+
+
+@dataclass(frozen=True, eq=False)
+class UntoldScale:
+    """Numbers that are told only together.
+
+    Attributes
+    ----------
+    gain : str
+        The label of the gain that is on the scale.
+    other : EffectInstance
+        The effect that is not in the model, and does what numbers of it do together.
+    size : float
+        How large it may be, in its unit: one standard deviation of what is known of the gain.
+    changes : (f,) array
+        What the fitted numbers change by where it is that large.
+    """
+
+    gain: str
+    other: EffectInstance
+    size: float
+    changes: Array
+
+
+def untold_scales(
+    library: Library, last: State, settings: ScaleSettings = SETTINGS
+) -> tuple[UntoldScale, ...]:
+    """Find the drives whose scale of forces the data do not tell.
+
+    Parameters
+    ----------
+    library : Library
+        The simulator with every effect.
+    last : State
+        A model, fitted to the end.
+    settings : ScaleSettings
+        When it is not told.
+
+    Returns
+    -------
+    tuple of UntoldScale
+        One for each gain at most.
+    """
+    own = [one for one in last.accepted if one.effect in OF_FORCES]
+    others = [one for one in library.instances if one.effect in OF_FORCES and one not in own]
+    if len(own) < 2 or not others:
+        return ()
+    train = last.train
+    places = np.concatenate([library.indices_of[one.label] for one in others])
+    numbers = np.concatenate([last.free, places])
+    jacobian = library.jacobian(last.theta, numbers, train.windows, settings.close)
+    rows = train.flat(jacobian)
+    lengths = np.maximum(np.linalg.norm(rows, axis=1), 1e-300)
+    unit = rows / lengths[:, None]
+    count = len(last.free)
+    shares = np.linalg.lstsq(unit[:count].T, unit[count:].T, rcond=RANK)[0]
+    left = np.linalg.norm(unit[count:] - shares.T @ unit[:count], axis=1) * lengths[count:]
+    best: dict[str, tuple[float, UntoldScale]] = {}
+    for i, other in enumerate(others):
+        changes = -shares[:, i] * lengths[count + i] / lengths[:count]
+        gain, size = _gain_and_size(library, last, other, changes, settings)
+        seen = size * float(left[i])
+        if not seen < settings.told or seen >= best.get(gain, (np.inf,))[0]:
+            continue
+        best[gain] = seen, UntoldScale(gain, other, size, size * changes)
+    return tuple(one for _, one in best.values())
+
+
+def with_known_gain(
+    library: Library, last: State, scale: UntoldScale, settings: ScaleSettings = SETTINGS
+) -> tuple[EffectInstance, Array] | None:
+    """Return what a model is whose gain is as it came, and which does the same.
+
+    Parameters
+    ----------
+    library : Library
+        The simulator with every effect.
+    last : State
+        A model.
+    scale : UntoldScale
+        Of the model.
+    settings : ScaleSettings
+        What is known of gains.
+
+    Returns
+    -------
+    gain : EffectInstance
+        The model's, in whose place the other effect comes.
+    theta : (m,) array
+        Where that model is, to first order. None where the gain is not further off than gains
+        usually are, or the other effect would have to be below its bounds.
+    """
+    gain = next((one for one in last.accepted if one.label == scale.gain), None)
+    if gain is None:
+        return None
+    (index,) = library.indices_of[gain.label]
+    off = float(last.theta[index])
+    (change,) = scale.changes[last.free == index]
+    (other,) = library.indices_of[scale.other.label]
+    magnitude = -off / change * scale.size
+    space = library.simulator.space
+    if abs(off) <= settings.known or not space.low[other] < magnitude <= space.high[other]:
+        return None
+    theta = last.theta.copy()
+    theta[last.free] += -off / change * scale.changes
+    theta[index] = 0.0
+    theta[other] = magnitude
+    return gain, space.clip(theta)
+
+
+def in_words(library: Library, last: State, scales: Sequence[UntoldScale]) -> tuple[str, ...]:
+    """Say which numbers are told only together.
+
+    Parameters
+    ----------
+    library : Library
+        The simulator with every effect.
+    last : State
+        The model.
+    scales : sequence of UntoldScale
+        Of the model.
+
+    Returns
+    -------
+    tuple of str
+        A sentence each.
+    """
+    sentences = []
+    for scale in scales:
+        members = [Member(scale.other.label, scale.other.quantities[0].unit, 0.0, scale.size)]
+        for instance in last.accepted:
+            if instance.effect not in OF_FORCES:
+                continue
+            index = library.indices_of[instance.label][0]
+            (change,) = scale.changes[last.free == index]
+            value = float(last.theta[index])
+            if abs(change) > NOTHING * abs(value):
+                unit = instance.quantities[0].unit
+                members.append(Member(instance.label, unit, value, float(change)))
+        if scale.other.effect != GAIN:
+            members.sort(key=lambda one: one.label != scale.gain)
+        sentences.append(told_together(members))
+    return tuple(sentences)
+
+
+def _gain_and_size(
+    library: Library, last: State, other: EffectInstance, changes: Array, settings: ScaleSettings
+) -> tuple[str, float]:
+    """The gain that changes with another effect, and how large that may be; infinite without."""
+    if other.effect == GAIN:
+        return other.label, settings.known
+    gain, size = "", np.inf
+    for instance in last.accepted:
+        if instance.effect != GAIN:
+            continue
+        index = library.indices_of[instance.label][0]
+        (change,) = np.abs(changes[last.free == index])
+        limit = settings.known * (1 + last.theta[index]) / max(float(change), 1e-300)
+        if limit < size:
+            gain, size = instance.label, float(limit)
+    return gain, size
