@@ -144,16 +144,13 @@ def most_plausible(
         The same where no term, and no payload, could be exchanged for a more usual number.
     """
     rows = float(fitter.equation.used.sum())
-    for i in solution.terms:
-        if _is_beside_mass(fitter, solution, i):
-            continue
-        own = plausibility.of(fitter.terms[i].effect)
+    # By the numbers as they were chosen: a mass that comes in a centre's place here is no payload.
+    for i in [i for i in solution.terms if not _is_beside_mass(fitter, solution, i)]:
+        odds = np.array([plausibility.of(term.effect) for term in fitter.terms])
         cosines = term_similarities(fitter, solution, i)[:-1]
-        for k in np.argsort(-cosines).tolist():
-            if cosines[k] <= similarity:
-                break
-            if plausibility.of(fitter.terms[k].effect) <= own:
-                continue
+        likelier = (cosines > similarity) & (odds > odds[i])
+        order = np.lexsort((-cosines, -odds))
+        for k in order[likelier[order]].tolist():
             chosen = tuple(k if one == i else one for one in solution.chosen)
             other = fitter.refined(fitter.solve(replace(solution, chosen=chosen)))
             free = other.sizes[k] > fitter.terms[k].lowest
