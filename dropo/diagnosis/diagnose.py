@@ -89,7 +89,7 @@ from dropo.diagnosis.setup import (
 from dropo.diagnosis.solving import (
     solved,
     with_another_set,
-    with_known_gains,
+    with_known_scales,
     with_noise_left,
     without_short_delays,
     without_worse,
@@ -567,7 +567,7 @@ class Diagnose:
             further = without_short_delays(setup, searched)
             if further is not None:
                 return further
-        further = with_known_gains(setup, searched)
+        further = with_known_scales(setup, searched)
         if further is not None:
             return further
         # Effects that were accepted one after another may stand for others that act together.

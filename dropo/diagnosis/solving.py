@@ -9,7 +9,7 @@ from dropo.core.contracts.effect import EffectInstance
 from dropo.core.services.tables import number, steps_text
 from dropo.data.outliers.without_disturbances import WithoutDisturbances
 from dropo.diagnosis.findings.accuracy.every_horizon import Beyond
-from dropo.diagnosis.findings.limits.scale_of_forces import untold_scales, with_known_gain
+from dropo.diagnosis.findings.limits.scale_of_forces import untold_scales, with_known_scale
 from dropo.diagnosis.findings.premises.numerics import refused_delay, short_delay
 from dropo.diagnosis.parts import Leader
 from dropo.diagnosis.search.arithmetic import ArithmeticAlternatives
@@ -355,13 +355,13 @@ def with_another_set(
     return replace(setup, compared=True), replace(searched, last=last, reviews=reviews)
 
 
-def with_known_gains(
+def with_known_scales(
     setup: SearchSetup, searched: SearchedEffects
 ) -> tuple[SearchSetup, SearchedEffects] | None:
-    """Go on with a drive's gain as it came, where rotor inertia or friction do the same.
+    """Go on with masses as they came, and a drive's gain, where other effects do the same.
 
-    The data do not tell which: of a drive whose load weighs nothing, motions tell only ratios. A
-    gain that is far off is then less usual than what else is missing.
+    The data do not tell which: motions tell only ratios of forces. A mass is known better than a
+    gain, and a gain that is far off is less usual than a rotor that is missing.
 
     Parameters
     ----------
@@ -378,11 +378,11 @@ def with_known_gains(
     selection, last = setup.selection, searched.last
     library = setup.library
     for scale in untold_scales(library, last):
-        known = with_known_gain(library, last, scale)
+        known = with_known_scale(library, last, scale)
         if known is None:
             continue
-        gain, theta = known
-        other = selection.polish(selection.try_set(last, theta, (gain,), (scale.other,)))
+        replaced, theta = known
+        other = selection.polish(selection.try_set(last, theta, (replaced,), (scale.other,)))
         lost = penalized_log_likelihood(last) - penalized_log_likelihood(other)
         if lost < selection.settings.negligible_gain:
             selection.set_origin_to_first_batch(scale.other)

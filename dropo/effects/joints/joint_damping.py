@@ -6,7 +6,7 @@ from dropo.core.contracts.effect import EffectContext, EffectInstance
 from dropo.effects.support.model_field import FieldEntry, ModelField, by_kind
 from dropo.mjmodel.joints import joints
 
-FIELD = ModelField("joint_damping", "dof_damping", "damping", bound=100.0)
+FIELD = ModelField("joint_damping", "dof_damping", "damping", bound=1000.0)
 
 
 def joint_damping(context: EffectContext) -> Iterator[EffectInstance]:

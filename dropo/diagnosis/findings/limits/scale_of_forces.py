@@ -21,6 +21,8 @@ NOTHING = 0.01
 """Fraction of a number by which it must change to be among those that are told together."""
 RANK = 1e-8
 """Relative size of a direction in which numbers do nothing."""
+MASS = "body_mass"
+"""A mass is known as the model has it, which the scale of forces depends on."""
 OF_FORCES = (GAIN, "joint_armature", "joint_damping", "joint_friction")
 """The effects that are in proportion to that scale."""
 
@@ -89,7 +91,7 @@ def untold_scales(
     tuple of UntoldScale
         One for each gain at most.
     """
-    own = [one for one in last.accepted if one.effect in OF_FORCES]
+    own = [one for one in last.accepted if one.effect in (*OF_FORCES, MASS)]
     others = [one for one in library.instances if one.effect in OF_FORCES and one not in own]
     if len(own) < 2 or not others:
         return ()
@@ -114,10 +116,10 @@ def untold_scales(
     return tuple(one for _, one in best.values())
 
 
-def with_known_gain(
+def with_known_scale(
     library: Library, last: State, scale: UntoldScale, settings: ScaleSettings = SETTINGS
 ) -> tuple[EffectInstance, Array] | None:
-    """Return what a model is whose gain is as it came, and which does the same.
+    """Return what a model is whose masses and gain are as they came, and which does the same.
 
     Parameters
     ----------
@@ -132,28 +134,31 @@ def with_known_gain(
 
     Returns
     -------
-    gain : EffectInstance
-        The model's, in whose place the other effect comes.
+    known : EffectInstance
+        The model's mass or gain in whose place the other effect comes.
     theta : (m,) array
-        Where that model is, to first order. None where the gain is not further off than gains
-        usually are, or the other effect would have to be below its bounds.
+        Where that model is, to first order. None where there is no such mass, where the gain is not
+        further off than gains usually are, or the other effect would have to be below its bounds.
     """
-    gain = next((one for one in last.accepted if one.label == scale.gain), None)
-    if gain is None:
-        return None
-    (index,) = library.indices_of[gain.label]
-    off = float(last.theta[index])
-    (change,) = scale.changes[last.free == index]
     (other,) = library.indices_of[scale.other.label]
-    magnitude = -off / change * scale.size
     space = library.simulator.space
-    if abs(off) <= settings.known or not space.low[other] < magnitude <= space.high[other]:
-        return None
-    theta = last.theta.copy()
-    theta[last.free] += -off / change * scale.changes
-    theta[index] = 0.0
-    theta[other] = magnitude
-    return gain, space.clip(theta)
+    for known in last.accepted:
+        if known.effect != MASS and known.label != scale.gain:
+            continue
+        (index,) = library.indices_of[known.label]
+        off = float(last.theta[index])
+        (change,) = scale.changes[last.free == index]
+        if not change or (known.effect == GAIN and abs(off) <= settings.known):
+            continue
+        magnitude = -off / change * scale.size
+        if not space.low[other] < magnitude <= space.high[other]:
+            continue
+        theta = last.theta.copy()
+        theta[last.free] += -off / change * scale.changes
+        theta[index] = 0.0
+        theta[other] = magnitude
+        return known, space.clip(theta)
+    return None
 
 
 def in_words(library: Library, last: State, scales: Sequence[UntoldScale]) -> tuple[str, ...]:
@@ -177,7 +182,7 @@ def in_words(library: Library, last: State, scales: Sequence[UntoldScale]) -> tu
     for scale in scales:
         members = [Member(scale.other.label, scale.other.quantities[0].unit, 0.0, scale.size)]
         for instance in last.accepted:
-            if instance.effect not in OF_FORCES:
+            if instance.effect not in (*OF_FORCES, MASS):
                 continue
             index = library.indices_of[instance.label][0]
             (change,) = scale.changes[last.free == index]
