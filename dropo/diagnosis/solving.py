@@ -100,6 +100,7 @@ def solved(
         coloured = _coloured(setup, noise)
         if np.abs(noise.rho).max() < settings.weak:
             coloured = replace(coloured, begun=_begun_with(coloured, found.last))
+            coloured.selection.origins = dict(setup.selection.origins)
         again, anew = search_effects(coloured)
         if anew.interrupted:
             # What was found before is whole; half a search under other premises is not.

@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import expit
 
 from dropo.core.contracts.effect import EffectInstance
 from dropo.core.numerics.robust_covariance import few_units_sandwich
@@ -15,6 +16,7 @@ from dropo.core.services.validation import Array
 from dropo.diagnosis.findings.limits.experiment import Experiment, experiments
 from dropo.diagnosis.findings.limits.scale_of_forces import UntoldScale
 from dropo.diagnosis.laws.discovery import FoundLaw
+from dropo.diagnosis.laws.forces import step_errors
 from dropo.diagnosis.parts import (
     Alternative,
     Cause,
@@ -27,7 +29,7 @@ from dropo.diagnosis.parts import (
 from dropo.diagnosis.search.confirmation import SETTINGS as SELECTION
 from dropo.diagnosis.search.confirmation import SelectionSettings, gain_by_block, gain_of
 from dropo.diagnosis.search.invariance import invariance, standing_out
-from dropo.diagnosis.search.linearization import Library
+from dropo.diagnosis.search.linearization import Library, LinearizedWindows
 from dropo.diagnosis.search.refit import DEFAULTS as REFIT
 from dropo.diagnosis.search.review import Review, ambiguity
 from dropo.diagnosis.search.screening import Candidate
@@ -59,6 +61,9 @@ NO_LAWS: Mapping[str, FoundLaw] = {}
 
 OF_STEPS = 0.25
 """Fraction of what a model's own physics steps change that is part of the errors in exact ones."""
+OF_OWN_STEPS = 2 / 3
+"""Fraction of what infinitely short ones would change that is part of the errors in the model's
+own: a machine has no steps, and the data do not tell them from its."""
 
 
 def causes(
@@ -351,7 +356,10 @@ def standard_errors(
     errors : (f,) array
         In the numbers' units. What the data do not tell is anywhere within its bounds. Where the
         model's own physics steps were found to be too coarse, a quarter of what they would change
-        is part of the errors: exact steps are not exact either, nor is another simulation.
+        is part of the errors: exact steps are not exact either, nor is another simulation. Where
+        the data do not tell them from infinitely short ones, two thirds of what these would change
+        are, times the square root of the probability of such: the intervals hold the numbers of a
+        machine and of a simulation.
     degrees : (f,) array
         Degrees of freedom of each.
     """
@@ -405,10 +413,29 @@ def _sandwich(library: Library, last: State, fraction: float) -> tuple[Array, Ar
     information = np.zeros((len(names), len(free), len(free)))
     np.add.at(information, block, np.einsum("fwn,gwn->wfg", rows, rows))
     covariance, degrees = few_units_sandwich(scores, information)
+    drift = _drift_of_steps(library, train, rows.reshape(len(free), -1))
+    return covariance + np.outer(drift, drift), degrees
+
+
+def _drift_of_steps(library: Library, train: LinearizedWindows, rows: Array) -> Array:
+    """The errors (f,) of numbers by the length of physics steps.
+
+    rows: (f, N) the whitened responses to the numbers.
+    """
     if train.defect is not None:
-        drift = np.linalg.lstsq(rows.reshape(len(free), -1).T, train.flat(train.defect))[0]
-        covariance = covariance + np.outer(OF_STEPS * drift, OF_STEPS * drift)
-    return covariance, degrees
+        return np.asarray(OF_STEPS * np.linalg.lstsq(rows.T, train.flat(train.defect))[0])
+    simulator = library.simulator
+    if not isinstance(simulator, RobotSimulator) or simulator.control_step is None:
+        return np.zeros(len(rows))
+    change = step_errors(simulator, train)
+    change[train.lost] = 0.0
+    changed = train.flat(change)
+    drift = np.linalg.lstsq(rows.T, changed)[0]
+    # What the numbers do not make up for speaks for the model's own steps, or against them.
+    left = changed - drift @ rows
+    residuals = train.flat(train.residuals)
+    loss = 0.5 * float((residuals - left) @ (residuals - left) - residuals @ residuals)
+    return np.asarray(OF_OWN_STEPS * np.sqrt(expit(-loss)) * drift)
 
 
 def suspects(selection: Selection, last: State, count: int) -> tuple[Suspect, ...]:

@@ -58,11 +58,12 @@ def begin_with(
     alone = selection.step(first, instances, first)
     if alone is not None and penalized_log_likelihood(alone) > penalized_log_likelihood(together):
         return first
+    if len(added) == 1 and added[0].label in selection.origins:
+        return together
     for instance in added:
-        if instance.label in selection.origins:
-            continue
         without = first
         if len(added) > 1:
+            # What was tried beside no other effect may look like another than it does here.
             without = selection.polish(without_effects(selection, together, [instance]))
         fitted = together.theta[library.indices_of[instance.label]]
         selection.try_in_place_of(without, instance, fitted, instances)
