@@ -213,6 +213,8 @@ class SearchSetup:
         Whether laws were looked for in vain beyond what windows show.
     known : sequence of (EffectInstance, (q,) array)
         What regression is certain of: the search begins with it, if windows confirm it.
+    scaled : bool
+        Whether masses and gains were brought back to what is known of them.
     """
 
     problem: Problem
@@ -234,6 +236,7 @@ class SearchSetup:
     compared: bool = False
     sought: bool = False
     known: ActiveEffects = ()
+    scaled: bool = False
 
     @property
     def instances(self) -> list[EffectInstance]:

@@ -374,8 +374,10 @@ def with_known_scales(
     Returns
     -------
     tuple of SearchSetup and SearchedEffects or None
-        None where the data tell the gain, or it is not far off.
+        None where the data tell the gain, or it is not far off, or this was done before.
     """
+    if setup.scaled:
+        return None
     selection, last = setup.selection, searched.last
     library = setup.library
     for scale in untold_scales(library, last):
@@ -386,9 +388,11 @@ def with_known_scales(
         other = selection.polish(selection.try_set(last, theta, (replaced,), (scale.other,)))
         lost = penalized_log_likelihood(last) - penalized_log_likelihood(other)
         if lost < selection.settings.negligible_gain:
+            # What was tried in its place before was tried beside another gain or mass.
+            selection.origins.pop(scale.other.label, None)
             selection.set_origin_to_first_batch(scale.other)
             further, reviews = explain(setup, searched.first, other)
-            return setup, replace(searched, last=further, reviews=reviews)
+            return replace(setup, scaled=True), replace(searched, last=further, reviews=reviews)
     return None
 
 

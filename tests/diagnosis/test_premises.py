@@ -66,12 +66,16 @@ def test_under_weakly_coloured_noise_a_search_goes_on(monkeypatch, rho, goes_on)
         return setup, SearchedEffects(None, SimpleNamespace(train=None), {})
 
     coloured = SimpleNamespace(rho=np.array([0.0, rho]))
+    anew = SimpleNamespace(origins={})
+    begun = setup_of_nothing()
+    begun.selection.origins = {"damping": "what else was tried"}
     monkeypatch.setattr(solving, "search_effects", searched)
     monkeypatch.setattr(solving, "other_noise", lambda *given: coloured)
-    monkeypatch.setattr(solving, "_anew", lambda setup, under: setup.selection)
+    monkeypatch.setattr(solving, "_anew", lambda setup, under: anew)
     monkeypatch.setattr(solving, "_begun_with", lambda setup, last: "found")
-    solving.solved(setup_of_nothing(), WhitenessSettings(), lambda *_: None)
+    solving.solved(begun, WhitenessSettings(), lambda *_: None)
     assert asked == [None, "found" if goes_on else None]
+    assert anew.origins == (begun.selection.origins if goes_on else {})
 
 
 @pytest.mark.parametrize("left", [None, "left"])

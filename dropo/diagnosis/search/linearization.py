@@ -572,8 +572,11 @@ def estimate_noise(
     Returns
     -------
     WindowNoise
+        The first guess itself where the simulation diverges in all windows.
     """
     good = ~linearized.lost
+    if not good.any():
+        return noise
     loadings = linearized.loadings[good]
     residuals = linearized.residuals[good]
     known = linearized.extra_loadings[good]

@@ -479,7 +479,9 @@ class Selection:
         candidates = [replace(own, magnitudes=magnitudes), *others]
         batch = Batch(without, screened, self.try_candidates(without, candidates))
         self.batches.append(batch)
-        self.origins[instance.label] = batch
+        # Where its simulation diverges by itself, it is not among what was tried.
+        if any(trial.candidate.instance.label == instance.label for trial in batch.trials):
+            self.origins[instance.label] = batch
 
     def _last_batch_with(self, candidate: Candidate) -> Batch:
         """The last batch in which a candidate was refitted."""
