@@ -37,13 +37,16 @@ class ScaleSettings:
         Standard deviation of what is known of a drive's gain without data, as a fraction of it.
     told : float
         Where the gain is off by that much and the other numbers make up for it, residuals must
-        change by at least so many standard deviations, or it is not told.
+        change by at least so many standard deviations, or it is not told ...
+    seen : float
+        ... if they change by at least so many where the others do not.
     close : float
         Fraction of the usual widths of differences.
     """
 
     known: float = 0.2
     told: float = 2.0
+    seen: float = 10.0
     close: float = 0.1
 
 
@@ -77,6 +80,8 @@ def untold_scales(
 ) -> tuple[UntoldScale, ...]:
     """Find the drives whose scale of forces the data do not tell.
 
+    Where declared parameters would have to change too, the model's gain is what they are fitted to.
+
     Parameters
     ----------
     library : Library
@@ -109,10 +114,13 @@ def untold_scales(
     for i, other in enumerate(others):
         changes = -shares[:, i] * lengths[count + i] / lengths[:count]
         gain, size = _gain_and_size(library, last, other, changes, settings)
-        seen = size * float(left[i])
-        if not seen < settings.told or seen >= best.get(gain, (np.inf,))[0]:
+        told = size * float(left[i])
+        if not told < settings.told or told >= best.get(gain, (np.inf,))[0]:
             continue
-        best[gain] = seen, UntoldScale(gain, other, size, size * changes)
+        moved = np.abs(size * changes) > NOTHING * np.abs(last.theta[last.free])
+        if size * lengths[count + i] < settings.seen or moved[last.free < library.declared].any():
+            continue
+        best[gain] = told, UntoldScale(gain, other, size, size * changes)
     return tuple(one for _, one in best.values())
 
 
