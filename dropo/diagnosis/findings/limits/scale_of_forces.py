@@ -28,7 +28,7 @@ OF_FORCES = (GAIN, "joint_armature", "joint_damping", "joint_friction")
 
 
 @dataclass(frozen=True)
-class ScaleSettings:
+class ForceScaleSettings:
     """When the scale of forces is not told.
 
     Attributes
@@ -50,7 +50,7 @@ class ScaleSettings:
     close: float = 0.1
 
 
-SETTINGS = ScaleSettings()
+SETTINGS = ForceScaleSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +76,7 @@ class UntoldScale:
 
 
 def untold_scales(
-    library: Library, last: State, settings: ScaleSettings = SETTINGS
+    library: Library, last: State, settings: ForceScaleSettings = SETTINGS
 ) -> tuple[UntoldScale, ...]:
     """Find the drives whose scale of forces the data do not tell.
 
@@ -88,7 +88,7 @@ def untold_scales(
         The simulator with every effect.
     last : State
         A model, fitted to the end.
-    settings : ScaleSettings
+    settings : ForceScaleSettings
         When it is not told.
 
     Returns
@@ -125,7 +125,7 @@ def untold_scales(
 
 
 def with_known_scale(
-    library: Library, last: State, scale: UntoldScale, settings: ScaleSettings = SETTINGS
+    library: Library, last: State, scale: UntoldScale, settings: ForceScaleSettings = SETTINGS
 ) -> tuple[EffectInstance, Array] | None:
     """Return what a model is whose masses and gain are as they came, and which does the same.
 
@@ -137,7 +137,7 @@ def with_known_scale(
         A model.
     scale : UntoldScale
         Of the model.
-    settings : ScaleSettings
+    settings : ForceScaleSettings
         What is known of gains.
 
     Returns
@@ -205,7 +205,11 @@ def in_words(library: Library, last: State, scales: Sequence[UntoldScale]) -> tu
 
 
 def _gain_and_size(
-    library: Library, last: State, other: EffectInstance, changes: Array, settings: ScaleSettings
+    library: Library,
+    last: State,
+    other: EffectInstance,
+    changes: Array,
+    settings: ForceScaleSettings,
 ) -> tuple[str, float]:
     """The gain that changes with another effect, and how large that may be; infinite without."""
     if other.effect == GAIN:
