@@ -34,7 +34,7 @@ SIMULATED = 4
 """One machine of so many is diagnosed by simulation too."""
 STEPS = 20
 """Control steps of 10 ms after which errors are compared."""
-FIRST_SEED = 60000
+FIRST_SEED = 61000
 """Rules and thresholds were chosen on seeds below it."""
 WITHIN = 3.0
 """Standard errors within which a number is right."""
