@@ -108,6 +108,14 @@ def add(commands: Any) -> None:
         ),
     )
     parser.add_argument(
+        "--learned",
+        action="store_true",
+        help=(
+            "put forces that are learned from what nothing explains into the extended model, "
+            "however little of that they explain"
+        ),
+    )
+    parser.add_argument(
         "--out",
         type=Path,
         metavar="DIR",
@@ -219,6 +227,7 @@ def _diagnosis(
             arguments.effects,
             length=arguments.steps,
             disturbances=arguments.disturbances == "auto",
+            learned=arguments.learned,
             settings=settings,
         )
         return diagnose.run(problem, rng=arguments.seed, evaluation_log=log, progress=progress)
@@ -234,12 +243,13 @@ def _refuse_with_quick(arguments: argparse.Namespace) -> None:
         "--effects": arguments.effects,
         "--steps": arguments.steps,
         "--reference": arguments.reference,
+        "--learned": arguments.learned or None,
     }
     for option, value in given.items():
         if arguments.quick and value is not None:
             raise BadArgument(
                 f"{option} belongs to the search by simulation, which --quick leaves out. Leave "
-                f"out one of the two. Got {option} {value}."
+                f"out one of the two. Got {option}{'' if value is True else f' {value}'}."
             )
 
 

@@ -50,6 +50,7 @@ from dropo.diagnosis.findings.remains.unexplained_forces import impulses
 from dropo.diagnosis.findings.stability import stability
 from dropo.diagnosis.findings.to_type import to_type
 from dropo.diagnosis.laws.discovery import find_laws, may_stand_for_one_law
+from dropo.diagnosis.laws.learned import WithLearned, learn_forces
 from dropo.diagnosis.parts import Cause, Leader, Remaining
 from dropo.diagnosis.regression.wiring import Wiring, wiring_of
 from dropo.diagnosis.reporting import (
@@ -119,6 +120,9 @@ class Diagnose:
         Whether spans of time in which something else acts are looked for once the causes are known.
         They are listed and left out, and the rest is diagnosed anew. Not where the model is far
         off: whole motions are fitted robustly there.
+    learned : bool
+        Whether forces that are learned from what nothing explains, and that data held out confirm,
+        are part of the extended model however little of that they explain.
     settings : DiagnosisSettings
         Numbers that decide.
     """
@@ -129,6 +133,7 @@ class Diagnose:
     windows: int | None = None
     parameters: Sequence[str] | None = None
     disturbances: bool = True
+    learned: bool = False
     settings: DiagnosisSettings = field(default_factory=DiagnosisSettings)
 
     def run(
@@ -503,8 +508,13 @@ class Diagnose:
             inside = horizons(task.problem, library, thetas, last, draws, own)
             disturbances = left_out(task.undisturbed, inside)
         rest, beyond = self._after_every_horizon(setup, after, last, findings.rest, draws)
+        learned = None if rest.calibrated else self._learned(setup, searched, draws)
+        whole = _with_learned(setup, searched, learned)
+        if learned is not None and learned.learned.used:
+            with_causes = tuple(one.models[1] for one in learned.after)
         selection.progress(0.95, "what the pictures show")
-        extended = extended_problem(data, library, last)
+        named = extended_problem(data, library, last)
+        extended = extended_problem(data, whole[0].library, whole[1].last)
         declared = last.theta[: len(data.space)]
         parameters = dict(zip(data.space.names, declared.tolist(), strict=True))
         compared = self.disturbances and not (rest.calibrated or far_off) and complete
@@ -516,7 +526,7 @@ class Diagnose:
             suspects=suspects(selection, last, setup.count),
             leaders=leaders_of(setup, last, findings.worse),
             baseline=HeldOut(per_step(first), fitted),
-            extended=HeldOut(per_step(last), with_causes),
+            extended=HeldOut(per_step(whole[1].last), with_causes),
             remaining=rest,
             problem=extended,
             detectable=self._detectable(setup, searched, verdict),
@@ -532,14 +542,17 @@ class Diagnose:
             numerics=arithmetic_of(task, setup, searched, findings.causes, rest)
             if complete
             else (),
-            to_type=to_type(task.came, extended, parameters),
+            to_type=to_type(task.came, named, parameters),
             disturbances=disturbances,
-            outlier_runs=outlier_runs(data, extended, declared) if compared else (),
-            replay=replayed(setup, searched) if far_off and complete else None,
+            outlier_runs=outlier_runs(data, named, declared) if compared else (),
+            replay=replayed(*whole) if far_off and complete else None,
             figures=figure_data(
                 library, selection, first, last, searched.reviews, findings.forces, setup.count
             ),
-            motion=motion(data, library, first, last, fitted, with_causes),
+            motion=motion(
+                data, whole[0].library, whole[1].first, whole[1].last, fitted, with_causes
+            ),
+            learned=None if learned is None else learned.learned,
             warnings=(
                 *data.warnings,
                 *chattering_sentences(data),
@@ -581,6 +594,24 @@ class Diagnose:
         if searched.laws is None and self._wants_laws(setup.library, searched.last, rest):
             return self._with_laws(setup, searched, rng)
         return None
+
+    def _learned(
+        self, setup: SearchSetup, searched: SearchedEffects, rng: np.random.Generator
+    ) -> WithLearned | None:
+        """Forces learned from what remains; None where laws are not among what is looked for."""
+        if searched.interrupted or not (self._names_laws or self.learned):
+            return None
+        setup.selection.progress(0.93, "learning what nothing explains")
+        return learn_forces(
+            setup.problem,
+            setup.selection,
+            searched.first,
+            searched.last,
+            rng,
+            self.settings.horizons,
+            asked=self.learned,
+            settings=self.settings.learned,
+        )
 
     def _detectable(
         self, setup: SearchSetup, searched: SearchedEffects, verdict: str
@@ -770,6 +801,17 @@ def diagnose(
         If the simulation diverges in too many windows.
     """
     return Diagnose(effects).run(problem, rng=rng)
+
+
+def _with_learned(
+    setup: SearchSetup, searched: SearchedEffects, learned: WithLearned | None
+) -> tuple[SearchSetup, SearchedEffects]:
+    """A search and its end with the forces that were learned, where these are used."""
+    if learned is None or not learned.learned.used:
+        return setup, searched
+    selection = learned.selection
+    setup = replace(setup, selection=selection, library=selection.library)
+    return setup, replace(searched, first=learned.first, last=learned.last)
 
 
 def _is_an_end(found: Diagnosis) -> bool:

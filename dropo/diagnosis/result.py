@@ -18,6 +18,7 @@ from dropo.diagnosis.findings.accuracy.replay import WholeRunReplay
 from dropo.diagnosis.findings.limits.detectable import Detectable, detectable_table
 from dropo.diagnosis.findings.remains.disturbances import LeftOut
 from dropo.diagnosis.findings.to_type import typed_lines
+from dropo.diagnosis.laws.learned import Learned
 from dropo.diagnosis.parts import Cause, Leader, Remaining, Suspect, are_stated
 from dropo.diagnosis.regression.result import WiringFault, fault_table
 
@@ -122,6 +123,8 @@ class Diagnosis(Report):
         Measured and simulated motion.
     detectable : tuple of Detectable
         Where the model is consistent, the size of each usual effect that the data would have shown.
+    learned : Learned or None
+        Forces that were learned from what nothing explains.
     faults : tuple of WiringFault
         Columns that are not what the model takes them for; the search ended there, and each is a
         cause.
@@ -159,6 +162,7 @@ class Diagnosis(Report):
     figures: FigureData | None = None
     motion: Predictions | None = None
     detectable: tuple[Detectable, ...] = ()
+    learned: Learned | None = None
     faults: tuple[WiringFault, ...] = ()
     warnings: tuple[str, ...] = ()
     seed: int | None = None
@@ -224,6 +228,8 @@ class Diagnosis(Report):
         sentences = [INTERRUPTED if self.interrupted else VERDICTS[self.verdict]]
         if self.verdict in ("partly", "unexplained") and self.remaining.where:
             sentences.append(f"It shows in {'; '.join(self.remaining.where)}.")
+        if self.learned:
+            sentences.append(self.learned.sentence)
         if self.disturbances:
             sentences.append(f"Left out: {self.disturbances}.")
         sentences += [f"{str(run).capitalize()}." for run in self.outlier_runs]
@@ -274,7 +280,7 @@ class Diagnosis(Report):
         models = [("as it is", self.baseline.horizons)]
         if self.nominal:
             models = [("as it came", self.nominal), ("fitted", self.baseline.horizons)]
-        if self.causes:
+        if self.causes or (self.learned and self.learned.used):
             models.append(("with what was found", self.extended.horizons))
         by_horizon = list(zip(*(horizons for _, horizons in models), strict=True))
         rows = [row for at in by_horizon for row in _error_rows(at)]
@@ -355,6 +361,7 @@ class Diagnosis(Report):
             "nominal": {"horizons": [horizon.to_json() for horizon in self.nominal]},
             "undetermined": list(self.undetermined),
             "detectable": [one.to_json() for one in self.detectable],
+            "learned": self.learned.to_json() if self.learned else None,
             "numerics": list(self.numerics),
             "to_type": list(self.to_type),
             "warnings": list(self.warnings),

@@ -7,6 +7,7 @@ from dropo.diagnosis.far_off.start import FarOffLimits
 from dropo.diagnosis.findings.accuracy.every_horizon import EveryHorizonSettings
 from dropo.diagnosis.findings.limits.detectable import DetectableSettings
 from dropo.diagnosis.laws.discovery import LawSettings
+from dropo.diagnosis.laws.learned import LearnedSettings
 from dropo.diagnosis.regression.quick import QuickSettings
 from dropo.diagnosis.regression.wiring import WiringSettings
 from dropo.diagnosis.search.confirmation import SelectionSettings
@@ -46,6 +47,8 @@ class DiagnosisSettings:
         ... or where more than this many effects are found.
     laws : LawSettings
         How laws are looked for in what known effects leave unexplained.
+    learned : LearnedSettings
+        How forces are learned from what laws leave unexplained too.
     wiring : WiringSettings or None
         When signs, units and places of columns are wrong: that is the finding then, and nothing
         else is looked for. Never if None.
@@ -83,3 +86,4 @@ class DiagnosisSettings:
     sets: SetSettings = field(default_factory=SetSettings)
     sure_effects: int = 2
     laws: LawSettings = field(default_factory=LawSettings)
+    learned: LearnedSettings = field(default_factory=LearnedSettings)

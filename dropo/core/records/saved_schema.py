@@ -446,6 +446,26 @@ class SavedFault(Saved):
     evidence: SavedEvidence | None = None
 
 
+class SavedLearnedForce(Saved):
+    """A force at a joint that was learned."""
+
+    joint: str
+    variables: Texts
+    largest: float
+    unit: str
+    formula: str
+
+
+class SavedLearned(Saved):
+    """Forces that were learned from what nothing explains."""
+
+    forces: list[SavedLearnedForce]
+    held_out_gain: float
+    held_out_gain_se: float
+    share: float
+    used: bool
+
+
 class SavedDiagnosis(SavedFinding):
     """The content of diagnosis.json of a search by simulation."""
 
@@ -462,6 +482,7 @@ class SavedDiagnosis(SavedFinding):
     numerics: Texts = []
     faults: list[SavedFault] = []
     detectable: list[SavedDetectable] = []
+    learned: SavedLearned | None = None
     pictures: FigureData | None = None
 
 

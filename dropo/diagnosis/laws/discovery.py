@@ -12,6 +12,7 @@ from dropo.core.contracts.effect import EffectInstance, StepState
 from dropo.core.contracts.problem import Problem
 from dropo.core.services.validation import Array
 from dropo.diagnosis.findings.accuracy.horizons import horizons
+from dropo.diagnosis.laws.extension import extended, padded, padded_side, with_laws
 from dropo.diagnosis.laws.forces import ResidualForces, residual_forces, step_errors
 from dropo.diagnosis.laws.pursuit import (
     Proposal,
@@ -31,7 +32,6 @@ from dropo.diagnosis.search.review import Review, review, without_effects
 from dropo.diagnosis.search.screening import Candidate
 from dropo.diagnosis.search.selection import Selection
 from dropo.diagnosis.search.trials import (
-    Batch,
     State,
     Trial,
     most_plausible_first,
@@ -220,7 +220,7 @@ def find_laws(
             break
         law, summary, state, larger = found
         laws[law.label] = summary
-        selection, first, last = _extended(selection, larger), _padded(first, larger), state
+        selection, first, last = extended(selection, larger), padded(first, larger), state
         # With the law, others may be confirmed, and what stood in for it not be needed any more.
         last, reviews = review(selection, last)
         last = selection.run(first, last, instances)
@@ -597,7 +597,7 @@ def _confirmed(
             needed_fit = -max((1 - recovered) * lost, settings.usual_margin)
         if gain <= needed_fit:
             continue
-        own = _extended(selection, one[3])
+        own = extended(selection, one[3])
         if own.only_by_feedback(one[0].state):
             continue
         polished = own.polish(one[0].state)
@@ -680,7 +680,7 @@ def _of_the_machine(
     With the model's own steps or with infinitely short ones, it is confirmed against the model
     without it under both: a machine may be a simulation whose steps are the model's.
     """
-    own = _padded_side(state.test, library)
+    own = padded_side(state.test, library)
     exact = partial(_with_short_steps, library, selection=selection)
     without = (own, exact(own))
 
@@ -698,11 +698,11 @@ def _tried(
     context = selection.library.simulator.effect_context  # type: ignore[attr-defined]
     text, sizes = formula_of(proposal)
     law = law_instance(context, proposal.joint, text, typical=sizes)
-    library = _larger(selection.library, law)
-    own = _extended(selection, library)
+    library = with_laws(selection.library, [law])
+    own = extended(selection, library)
     order = np.array([sizes[quantity.name] for quantity in law.quantities])
     candidate = Candidate(law, order, proposal.gain, proposal.signature)
-    (trial,) = own.try_candidates(_padded(state, library), [candidate])
+    (trial,) = own.try_candidates(padded(state, library), [candidate])
     return trial, proposal, alike, library
 
 
@@ -724,7 +724,7 @@ def _pruned(
         sizes = _fitted(proposal, trial.candidate.instance, polished, library)
         fewer = replace(proposal, shapes=shapes, sizes=sizes[kept])
         again = _tried(selection, state, fewer, alike)
-        whole = _extended(selection, again[3]).polish(again[0].state)
+        whole = extended(selection, again[3]).polish(again[0].state)
         without = _view(again[3], whole.test, selection, short)
         if gain_of(without, _view(library, polished.test, selection, short))[0] < (
             selection.settings.negligible_gain
@@ -801,57 +801,6 @@ def name_of(proposal: Proposal) -> str:
     return " and ".join(dict.fromkeys([*names, *beside]))
 
 
-def _larger(library: Library, law: EffectInstance) -> Library:
-    """A library with one more effect, behind all others."""
-    simulator = library.simulator.with_effects([law])  # type: ignore[attr-defined]
-    simulator.steps = library.simulator.steps
-    coarse = library.coarse
-    if coarse is not None:
-        coarse = coarse.with_effects([law])  # type: ignore[attr-defined]
-    instances = [*library.instances, law]
-    return Library(simulator, instances, library.declared, library.differences, coarse)
-
-
-def _extended(selection: Selection, library: Library) -> Selection:
-    """The search in a larger library, its batches with places for what is new there."""
-    batches = {id(one): _padded_batch(one, library) for one in selection.batches}
-    own = replace(selection, library=library, batches=list(batches.values()), origins={})
-    own.origins.update(
-        {label: batches.get(id(one), one) for label, one in selection.origins.items()}
-    )
-    own.screening.first_responses.update(selection.screening.first_responses)
-    own.screening.counted.update(selection.screening.counted)
-    own.screening.first_windows = (
-        None
-        if selection.screening.first_windows is None
-        else _padded_side(selection.screening.first_windows, library)
-    )
-    return own
-
-
-def _padded_batch(one: Batch, library: Library) -> Batch:
-    """A batch with places for what is new in a library."""
-    trials = [replace(trial, state=_padded(trial.state, library)) for trial in one.trials]
-    return Batch(_padded(one.before, library), one.screened, trials)
-
-
-def _padded(state: State, library: Library) -> State:
-    """A state with places for what is new in a library, which it does not have."""
-    return replace(
-        state,
-        train=_padded_side(state.train, library),
-        test=_padded_side(state.test, library),
-    )
-
-
-def _padded_side(side: LinearizedWindows, library: Library) -> LinearizedWindows:
-    """Windows with places for what is new in a library."""
-    new = len(library.simulator.space) - len(side.theta)
-    theta = np.append(side.theta, np.zeros(new))
-    at, noise = side.linearized_at
-    return replace(side, theta=theta, linearized_at=(np.append(at, np.zeros(new)), noise))
-
-
 def _some_horizon_is_worse(
     problem: Problem,
     selection: Selection,
@@ -862,10 +811,10 @@ def _some_horizon_is_worse(
 ) -> bool:
     """Whether errors after some printed horizon are larger with the laws than without them."""
     library = selection.library
-    before = _padded(begun, library)
+    before = padded(begun, library)
     (draws,) = rng.spawn(1)
-    without, with_laws = horizons(problem, library, [before.theta, last.theta], last, draws)
-    for old, new in zip(without, with_laws, strict=True):
+    without, later = horizons(problem, library, [before.theta, last.theta], last, draws)
+    for old, new in zip(without, later, strict=True):
         if not new.rmse <= (1 + settings.worse) * max(old.rmse, new.noise):
             return True
     return False

@@ -13,6 +13,7 @@ import ast
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import reduce
 
 import numpy as np
 
@@ -45,10 +46,12 @@ OPERATORS: dict[type, str] = {
     ast.Div: "/",
     ast.Pow: "**",
 }
-LONGEST = 500
+LONGEST = 6000
 """Characters of a formula at most."""
-DEEPEST = 40
+DEEPEST = 100
 """Parts of a formula within each other at most."""
+SHOWN = 200
+"""Characters of a formula that messages have."""
 BASES = ("N", "m", "s", "rad", "command")
 """The units of which all others are products."""
 
@@ -107,43 +110,99 @@ def read_formula(
         If a name is neither a variable nor a constant, or a function does not exist; with the
         nearest one.
     """
+    said = _shown(text)
     if len(text) > LONGEST:
         raise BadArgument(f"A formula has at most {LONGEST} characters. Got {len(text)}.")
     try:
         tree = ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError):
-        raise BadArgument(f"{text!r} is no formula such as '-c * abs(v) * v'.") from None
+        raise BadArgument(f"{said} is no formula such as '-c * abs(v) * v'.") from None
     reader = _Reader(text, variables, constants)
     root = reader.read(tree, 0)
     if not reader.constants:
-        raise BadArgument(f"The formula {text!r} has no constant that could be its size.")
+        raise BadArgument(f"The formula {said} has no constant that could be its size.")
     names = tuple(reader.constants)
     if reader.hidden and ("q", "") not in variables:
-        raise BadArgument(f"The formula {text!r} remembers, which takes the position of a joint.")
+        raise BadArgument(f"The formula {said} remembers, which takes the position of a joint.")
     needed = dict.fromkeys(reader.variables)
     if reader.hidden:
         needed |= {("t", ""): None, ("q", ""): None}
-    program = Program(root, names, tuple(needed), reader.hidden)
+    program = Program(_with_alike_together(root), names, tuple(needed), len(reader.hidden))
     units = _constant_units(text, root, names, variables, unit)
     scales = tuple(_is_scale(root, name) for name in names)
     return Formula(write_formula(root), program, units, scales)
+
+
+def _with_alike_together(root: Node) -> Node:
+    """A sum whose terms are evaluated at once where they differ by their constants alone."""
+    groups: dict[Node, list[tuple[Node, tuple[str, ...]]]] = {}
+    for term in _terms(root):
+        names: list[str] = []
+        groups.setdefault(_shape(term, names), []).append((term, tuple(names)))
+    parts = []
+    for shape, alike in groups.items():
+        first, names_of_first = alike[0]
+        if len(alike) == 1 or not names_of_first or _in_memory(shape) & set(names_of_first):
+            parts += [term for term, _ in alike]
+            continue
+        columns = zip(names_of_first, zip(*(names for _, names in alike), strict=True), strict=True)
+        parts.append(("alike", first, tuple(columns)))
+    return reduce(lambda one, other: ("call", "+", (one, other)), parts)
+
+
+def _terms(node: Node) -> list[Node]:
+    """The terms of a sum."""
+    if node[:2] == ("call", "+"):
+        return [term for one in node[2] for term in _terms(one)]
+    return [node]
+
+
+def _shape(node: Node, names: list[str]) -> Node:
+    """A part without what its constants are called; they are added to a list."""
+    if node[0] == "constant":
+        if node[1] not in names:
+            names.append(node[1])
+        return ("constant", names.index(node[1]))
+    if node[0] == "call":
+        return (*node[:2], tuple(_shape(one, names) for one in node[2]))
+    return node
+
+
+def _in_memory(node: Node) -> set[str]:
+    """The constants of the hidden states of a part."""
+    if node[0] == "call":
+        return {name for one in node[2] for name in _in_memory(one)}
+    return _constants(node) if node[0] == "hidden" else set()
+
+
+def _constants(node: Node) -> set[str]:
+    """The constants of a part."""
+    if node[0] in ("call", "hidden"):
+        return {name for one in node[2] for name in _constants(one)}
+    return {node[1]} if node[0] == "constant" else set()
+
+
+def _shown(text: str) -> str:
+    """A text as a message quotes it, without the middle of a long one."""
+    half = SHOWN // 2
+    return repr(text if len(text) <= SHOWN else f"{text[:half]} ... {text[-half:]}")
 
 
 class _Reader:
     """Reads Python's syntax tree of a formula into a tree of plain tuples."""
 
     def __init__(self, text: str, variables: Units, constants: Collection[str] | None):
-        self.text = text
+        self.said = _shown(text)
         self.known = variables
         self.given = constants
         self.constants: dict[str, None] = {}
         self.variables: list[tuple[str, str]] = []
-        self.hidden = 0
+        self.hidden: dict[Node, int] = {}
 
     def read(self, tree: ast.AST, depth: int) -> Node:
         """Read one part."""
         if depth > DEEPEST:
-            raise BadArgument(f"The formula {self.text!r} has too many parts within each other.")
+            raise BadArgument(f"The formula {self.said} has too many parts within each other.")
         if isinstance(tree, ast.Constant) and isinstance(tree.value, int | float):
             number = float(tree.value)
             if not isinstance(tree.value, bool) and np.isfinite(number):
@@ -162,8 +221,8 @@ class _Reader:
         if isinstance(tree, ast.Call) and isinstance(tree.func, ast.Name) and not tree.keywords:
             return self._call(tree.func.id, tree.args, depth)
         raise BadArgument(
-            f"The formula {self.text!r} may have numbers, names, + - * / **, and the functions "
-            f"{', '.join(FUNCTIONS)}. Got {ast.unparse(tree)!r}."
+            f"The formula {self.said} may have numbers, names, + - * / **, and the functions "
+            f"{', '.join(FUNCTIONS)}. Got {_shown(ast.unparse(tree))}."
         )
 
     def _call(self, name: str, arguments: Sequence[ast.expr], depth: int) -> Node:
@@ -171,18 +230,18 @@ class _Reader:
         known("function of formulas", name, FUNCTIONS)
         if len(arguments) != FUNCTIONS[name]:
             raise BadArgument(
-                f"{name} in the formula {self.text!r} takes {FUNCTIONS[name]} arguments. "
+                f"{name} in the formula {self.said} takes {FUNCTIONS[name]} arguments. "
                 f"Got {len(arguments)}."
             )
         inside = tuple(self.read(one, depth + 1) for one in arguments)
         if name in ("lag", "dahl"):
             if inside[-1][0] not in ("number", "constant"):
                 raise BadArgument(
-                    f"The last argument of {name} in the formula {self.text!r} must be a number "
+                    f"The last argument of {name} in the formula {self.said} must be a number "
                     "or a constant."
                 )
-            self.hidden += 1
-            return ("hidden", name, inside, self.hidden - 1)
+            place = self.hidden.setdefault((name, inside), len(self.hidden))
+            return ("hidden", name, inside, place)
         is_speed = name == "sign" and inside[0][0] == "variable" and inside[0][1] == "v"
         return ("call", "direction" if is_speed else name, inside)
 
@@ -194,7 +253,7 @@ class _Reader:
             own = [variable for variable, joint in self.known if not joint]
             known("variable or constant of the formula", name, [*own, *self.given])
         if name in FUNCTIONS:
-            raise BadArgument(f"{name} in the formula {self.text!r} is a function: {name}(...).")
+            raise BadArgument(f"{name} in the formula {self.said} is a function: {name}(...).")
         self.constants.setdefault(name)
         return ("constant", name)
 
@@ -397,6 +456,7 @@ def _constant_units(
     text: str, root: Node, names: tuple[str, ...], variables: Units, unit: str
 ) -> tuple[str, ...]:
     """The unit of each constant, so that every sum and the value have one unit."""
+    said = _shown(text)
     equations = _UnitEquations(names, variables, [])
     whole, multiples = equations.of(root)
     equations.rows.append((whole - exponents(unit), multiples))
@@ -404,7 +464,7 @@ def _constant_units(
     matrix = np.stack([row[1] for row in equations.rows])
     if np.linalg.matrix_rank(matrix) < len(names):
         raise BadArgument(
-            f"The constants {', '.join(names)} of the formula {text!r} cannot be told apart: "
+            f"The constants {_shown(', '.join(names))} of the formula {said} cannot be told apart: "
             "write one in place of their product."
         )
     solved = np.linalg.lstsq(matrix, -given, rcond=None)[0]
@@ -412,6 +472,6 @@ def _constant_units(
     left[:, BASES.index("rad")] = 0.0  # an angle may stand for a number
     if left.max() > 1e-6:
         raise BadArgument(
-            f"The units of the formula {text!r} do not go together: its value must be in {unit}."
+            f"The units of the formula {said} do not go together: its value must be in {unit}."
         )
     return tuple(unit_text(np.round(row * 12) / 12) for row in solved)

@@ -11,7 +11,11 @@ import numpy as np
 from dropo.core.services.validation import Array
 
 Node = tuple[Any, ...]
-"""A part of a formula: its kind, then what belongs to it (`dropo.effects.support.formula`)."""
+"""A part of a formula: its kind, then what belongs to it (`dropo.effects.support.formula`).
+
+("alike", term, names) is the sum of terms that differ by their constants alone: each constant of
+one of them, and what it is called in all.
+"""
 DIRECTION_WIDTH = 1e-2
 """The speed below which the sign of a speed fades out [rad/s, m/s]."""
 TINY = 1e-12
@@ -25,7 +29,7 @@ class Program:
     Attributes
     ----------
     root : tuple
-        Its tree.
+        Its tree, in which terms that are alike stand together.
     constants : tuple of str
         The names of its q constants, in the order of their magnitudes.
     variables : tuple of (str, str)
@@ -83,6 +87,11 @@ def _value(
         return constants[node[1]]
     if kind == "variable":
         return values[node[1], node[2]]
+    if kind == "alike":
+        each = constants | {
+            name: np.array([constants[one] for one in names])[:, None] for name, names in node[2]
+        }
+        return np.sum(_value(node[1], values, each, memory), axis=0)
     inside = [_value(one, values, constants, memory) for one in node[2]]
     if kind == "hidden":
         return _hidden(node, inside, values, memory)

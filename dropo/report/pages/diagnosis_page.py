@@ -80,6 +80,7 @@ def diagnosis_page(result: Result) -> str:
         parts.motion(predictions, result.media),
         parts.errors(predictions, _errors(content) + _replay(content)),
         _remaining(content, found),
+        _learned(content),
         _detectable(content),
         parts.made(result),
     ]
@@ -253,6 +254,29 @@ def _estimate(cause: Cause, name: str) -> list[Cell]:
         Cell(plain(cause.held_out_gain_se, 2)),
         Cell(_p_value(cause.p_value), cause.p_value),
     ]
+
+
+def _learned(content: dict[str, Any]) -> Section | None:
+    """The forces that were learned from what nothing explains."""
+    saved = content.get("learned")
+    if not saved:
+        return None
+    rows = [
+        [
+            Cell(one["joint"]),
+            Cell(", ".join(one["variables"])),
+            Cell(plain(one["largest"], 2), one["largest"]),
+            Cell(one["unit"]),
+        ]
+        for one in saved["forces"]
+    ]
+    kept = "They are in the extended model." if saved["used"] else "They are not in the model."
+    lead = (
+        f"Learned, not named: forces that take away {saved['share']:.0%} of what is unexplained on "
+        f"data held out, over all horizons. {kept}"
+    )
+    header = ["joint", "a function of", "up to", "unit"]
+    return Section("Learned forces", lead, table(header, rows))
 
 
 def _detectable(content: dict[str, Any]) -> Section | None:
