@@ -695,14 +695,14 @@ class Diagnose:
     ) -> dict[str, Leader]:
         """The effects with which errors after some horizon are larger than without, by label.
 
-        Of a model that is far off, which is fitted to what is measured, that alone counts.
+        What was estimated of the data does not count.
 
         after: of the model as it came, with its parameters fitted, with everything, and without
         each effect; of the first three alone where the search was interrupted.
         """
         if searched.interrupted or not after:
             return {}
-        measured = None if setup.explained is None else are_measured(setup.problem)
+        measured = are_measured(setup.problem)
         found = []
         for i, instance in enumerate(searched.last.accepted):
             beyond = worse_after(after, 3 + i, 2, self.settings.horizons, measured=measured)

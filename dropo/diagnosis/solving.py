@@ -26,6 +26,9 @@ from dropo.diagnosis.search.whitening import WhitenessSettings, WindowNoise, whi
 from dropo.diagnosis.setup import SearchedEffects, SearchSetup
 from dropo.mjmodel.options import physics_step
 
+FEW_EFFECTS = 3
+"""So many effects at least are looked for in the model's own steps beside more exact ones."""
+
 
 def with_noise_left(
     setup: SearchSetup, before: State | None, settings: WhitenessSettings
@@ -204,9 +207,9 @@ def search_effects(setup: SearchSetup) -> tuple[SearchSetup, SearchedEffects]:
             return _in_either(replace(setup, begun=(first, begun)), alternatives)
         if begun is first or not alternatives(first, begun):
             last, reviews = explain(setup, first, begun, alternatives)
-            if alternatives.winner in (None, setup.tried):
+            if alternatives.winner is None or setup.tried is not None:
                 return setup, SearchedEffects(first, last, reviews)
-        elif alternatives.winner == setup.tried:
+        elif setup.tried is not None:
             return setup, SearchedEffects(first, begun, reviews_so_far(selection, begun))
         return search_effects(_stepped(setup, alternatives))
     except KeyboardInterrupt:
@@ -229,6 +232,10 @@ def _in_either(
         return exact, found
     setup.library.simulator.steps = exact.library.simulator.steps
     selection = _further(setup, "the model's own physics steps")
+    usual = selection.settings
+    # What needs many more effects in these steps does not explain the data better.
+    most = max(FEW_EFFECTS, len(found.last.accepted) + 1)
+    selection.settings = replace(usual, maximum_effects=min(most, usual.maximum_effects))
     own = replace(setup, selection=selection, steps_chosen=True, tried=alternatives.winner)
     own, other = search_effects(own)
     exact.library.simulator.steps = own.library.simulator.steps
@@ -236,9 +243,14 @@ def _in_either(
         return exact, replace(found, interrupted=True)
     more = len(other.last.accepted) - len(found.last.accepted)
     gain = penalized_log_likelihood(other.last) - penalized_log_likelihood(found.last)
-    if gain > (1 + more) * setup.selection.settings.usual_margin:
-        return replace(own, begun=None), other
-    return exact, found
+    if gain <= (1 + more) * usual.usual_margin:
+        return exact, found
+    own = replace(own, begun=None)
+    own.selection.settings = usual
+    if len(other.last.accepted) < most:
+        return own, other
+    last, reviews = explain(own, other.first, other.last)
+    return own, replace(other, last=last, reviews=reviews)
 
 
 def explain(

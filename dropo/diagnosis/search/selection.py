@@ -62,7 +62,13 @@ from dropo.diagnosis.search.screening import (
     with_constant,
 )
 from dropo.diagnosis.search.single_steps import absent_in_single_steps
-from dropo.diagnosis.search.trials import Batch, State, Trial, most_plausible_first
+from dropo.diagnosis.search.trials import (
+    Batch,
+    State,
+    Trial,
+    most_plausible_first,
+    penalized_log_likelihood,
+)
 from dropo.diagnosis.search.whitening import WindowNoise
 from dropo.diagnosis.search.windows import Windows
 
@@ -349,8 +355,16 @@ class Selection:
     def _accept_first(
         self, state: State, trials: Iterable[Trial], needed_gain: float
     ) -> State | None:
-        """The first of a few trials that windows held out confirm when it is fitted to the end."""
+        """The first of a few trials that windows held out confirm when it is fitted to the end.
+
+        Where fitting to the end gains more than what lets it be the first, the next ones are fitted
+        so, too, and the best of them is taken.
+        """
+        accepted: State | None = None
+        least = -np.inf
         for trial in islice(trials, self.settings.maximum_polished):
+            if trial.penalized_gain < least:
+                break
             if self.only_by_feedback(trial.state):
                 continue
             polished = self.polish(trial.state)
@@ -358,10 +372,23 @@ class Selection:
             magnitudes = polished.theta[self.library.indices_of[instance.label]]
             if sets_in_at_an_end(instance, magnitudes):
                 continue
-            if is_confirmed(state.test, polished.test, needed_gain, self.settings):
-                self.origins[instance.label] = self._last_batch_with(trial.candidate)
-                return polished
-        return None
+            if not is_confirmed(state.test, polished.test, needed_gain, self.settings):
+                continue
+            gain = penalized_log_likelihood(polished)
+            if accepted is None:
+                least = trial.penalized_gain - (gain - penalized_log_likelihood(trial.state))
+            elif gain < penalized_log_likelihood(accepted) + self._margin(accepted, polished):
+                continue
+            accepted = polished
+            self.origins[instance.label] = self._last_batch_with(trial.candidate)
+        return accepted
+
+    def _margin(self, accepted: State, other: State) -> float:
+        """By how many nats a model must be better than one with another last effect."""
+        settings = self.settings
+        new, old = ([one.accepted[-1].effect] for one in (other, accepted))
+        more_usual = settings.more_usual_by(new, old)
+        return settings.negligible_gain if more_usual > 0 else settings.margin(more_usual)
 
     def _with_partner(
         self, state: State, instances: Sequence[EffectInstance], needed_gain: float
