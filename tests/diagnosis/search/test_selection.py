@@ -16,6 +16,7 @@ from dropo.diagnosis.search.screening import Candidate, Screening, with_constant
 from dropo.diagnosis.search.trials import Batch
 from tests.models.linear_mass import instances, measured, selection
 
+SELECTION = "dropo.diagnosis.search.selection"
 SIZES = {
     "damping": 0.05,
     "spring": -0.05,
@@ -88,6 +89,36 @@ def test_trials_that_a_wrong_noise_holds_up_are_fitted_to_the_end(monkeypatch, s
         [instance.effect for instance in last.accepted],
         search.origins["damping:mass"].trials,
     ) == (["damping"], trials)
+
+
+@pytest.mark.parametrize(
+    ("surplus", "better", "named"),
+    [(100.0, 100.0, "damping"), (10.0, 100.0, "spring"), (100.0, 1.0, "spring")],
+)
+def test_what_fits_to_the_end_bring_decides(monkeypatch, surplus, better, named):
+    """A rival that promised 50 nats less is taken where a fit to the end brings more than that, and
+    the rival is the better one then; a control brings less, another's rival is hardly better.
+    """
+    search, first = selection(measured({"damping": 0.2}))
+    screened, _ = search.screen(first, instances())
+    candidates = [one for one in screened if one.instance.effect in ("spring", "damping")]
+    trials = search.try_candidates(first, candidates)
+    search.batches.append(Batch(first, screened, trials))
+    spring, damping = sorted(trials, key=lambda one: one.candidate.instance.effect, reverse=True)
+    promised = damping.fitted_gain + damping.penalized_gain - spring.penalized_gain + 50.0
+    spring = replace(spring, fitted_gain=spring.fitted_gain + promised - damping.fitted_gain)
+    assert spring.penalized_gain - damping.penalized_gain == pytest.approx(50.0)
+    fitted = {"spring": surplus, "damping": surplus + better}
+    as_tried = [spring.state, damping.state]
+    monkeypatch.setattr(search, "polish", replace)
+    monkeypatch.setattr(f"{SELECTION}.is_confirmed", lambda *asked: True)
+    monkeypatch.setattr(
+        f"{SELECTION}.penalized_log_likelihood",
+        lambda state: 0.0 if state in as_tried else fitted[state.accepted[-1].effect],
+    )
+    found = search._accept_first(first, [spring, damping], 0.0)
+    assert [one.effect for one in found.accepted] == [named]
+    assert search.origins[f"{named}:mass"].trials == trials
 
 
 def test_what_sets_in_at_an_end_of_the_data_is_not_taken(monkeypatch):
