@@ -89,6 +89,7 @@ from dropo.diagnosis.setup import (
 )
 from dropo.diagnosis.solving import (
     solved,
+    that_may_be_nothing,
     with_another_set,
     with_known_scales,
     with_noise_left,
@@ -580,6 +581,10 @@ class Diagnose:
             further = without_short_delays(setup, searched)
             if further is not None:
                 return further
+        if len(setup.worse) < self.settings.horizons.refused:
+            unsure = that_may_be_nothing(setup.library, searched, self.settings.nothing)
+            if unsure is not None:
+                return without_worse(setup, searched, *unsure)
         further = with_known_scales(setup, searched)
         if further is not None:
             return further

@@ -39,6 +39,8 @@ class DiagnosisSettings:
         When the sensors' noise is not taken to be white.
     horizons : EveryHorizonSettings
         When errors after a horizon that is printed speak against an effect, or the verdict.
+    nothing : float
+        An effect whose size is nothing within an interval of this level is no cause.
     detectable : DetectableSettings
         How it is found what the data of a consistent model would have shown.
     sets : SetSettings
@@ -82,6 +84,7 @@ class DiagnosisSettings:
     window_length: WindowLengthSettings = field(default_factory=WindowLengthSettings)
     noise: WhitenessSettings = field(default_factory=WhitenessSettings)
     horizons: EveryHorizonSettings = field(default_factory=EveryHorizonSettings)
+    nothing: float = 0.98
     detectable: DetectableSettings = field(default_factory=DetectableSettings)
     sets: SetSettings = field(default_factory=SetSettings)
     sure_effects: int = 2

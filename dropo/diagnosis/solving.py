@@ -6,9 +6,11 @@ from dataclasses import replace
 import numpy as np
 
 from dropo.core.contracts.effect import EffectInstance
+from dropo.core.numerics.tails import student_quantile
 from dropo.core.services.tables import number, steps_text
 from dropo.data.outliers.without_disturbances import WithoutDisturbances
 from dropo.diagnosis.findings.accuracy.every_horizon import Beyond
+from dropo.diagnosis.findings.causes import standard_errors
 from dropo.diagnosis.findings.limits.scale_of_forces import untold_scales, with_known_scale
 from dropo.diagnosis.findings.premises.numerics import refused_delay, short_delay
 from dropo.diagnosis.parts import Leader
@@ -16,7 +18,7 @@ from dropo.diagnosis.search.arithmetic import ArithmeticAlternatives
 from dropo.diagnosis.search.confirmation import gain_of
 from dropo.diagnosis.search.known_causes import begin_with
 from dropo.diagnosis.search.library import robot_of
-from dropo.diagnosis.search.linearization import shift_linearization
+from dropo.diagnosis.search.linearization import Library, shift_linearization
 from dropo.diagnosis.search.refit import other_noise
 from dropo.diagnosis.search.review import Review, merge, review, reviews_so_far
 from dropo.diagnosis.search.selection import STOPPING, Selection
@@ -411,7 +413,7 @@ def with_known_scales(
 def without_worse(
     setup: SearchSetup, searched: SearchedEffects, label: str, leader: Leader
 ) -> tuple[SearchSetup, SearchedEffects]:
-    """Go on without an effect with which errors after some horizon are larger.
+    """Go on without an effect that is no cause, though windows ask for it.
 
     Parameters
     ----------
@@ -451,8 +453,61 @@ def worse_leader(searched: SearchedEffects, instance: EffectInstance, beyond: Be
     -------
     Leader
     """
-    gain, z = gain_of(searched.reviews[instance.label].without.test, searched.last.test)
     after = f"errors after {steps_text(beyond.steps)} are {number(beyond.ratio, 3)} times"
+    why = f"{after} those without it ({beyond.unit})"
+    return _refused(searched, instance, why, beyond.steps)
+
+
+def that_may_be_nothing(
+    library: Library, searched: SearchedEffects, level: float
+) -> tuple[str, Leader] | None:
+    """Return the effect whose size is least distinguished from nothing, where it may be nothing.
+
+    Such an effect is what a misfit of another kind makes: all that is known of it is that something
+    else is better explained with it.
+
+    Parameters
+    ----------
+    library : Library
+        The simulator with every effect.
+    searched : SearchedEffects
+        What a search ended with.
+    level : float
+        Of the intervals of its sizes that all hold nothing.
+
+    Returns
+    -------
+    tuple of str and Leader, or None
+        Its label, and what is said of it. Of an effect that is so many times a shape, the first
+        size alone counts.
+    """
+    last = searched.last
+    if not last.accepted:
+        return None
+    errors, degrees = standard_errors(library, last)
+    half = dict(
+        zip(last.free.tolist(), errors * student_quantile(0.5 + level / 2, degrees), strict=True)
+    )
+    found = []
+    for instance in last.accepted:
+        indices = library.indices_of[instance.label].tolist()
+        scaling = indices if instance.linear_in is None else indices[:1]
+        if all(index in half for index in scaling):
+            most = max(abs(float(last.theta[index])) / half[index] for index in scaling)
+            found.append((most, instance))
+    if not found:
+        return None
+    most, instance = min(found, key=lambda one: one[0])
+    if most >= 1:
+        return None
+    return instance.label, _refused(searched, instance, "its size may be 0")
+
+
+def _refused(
+    searched: SearchedEffects, instance: EffectInstance, why: str, steps: int = 0
+) -> Leader:
+    """An effect that data held out ask for and that is no cause all the same."""
+    gain, z = gain_of(searched.reviews[instance.label].without.test, searched.last.test)
     return Leader(
         effect=instance.effect,
         target=instance.target,
@@ -460,8 +515,8 @@ def worse_leader(searched: SearchedEffects, instance: EffectInstance, beyond: Be
         gain=gain,
         gain_se=gain / z if z > 0 else np.nan,
         times=np.nan,
-        why=f"{after} those without it ({beyond.unit})",
-        steps=beyond.steps,
+        why=why,
+        steps=steps,
     )
 
 

@@ -439,8 +439,7 @@ class FarOffSearch:
     def _without_needless(self, model: FarOffModel, sides: _Sides) -> FarOffModel:
         """Drop the kinds of effects that data held out do not ask for, one after another.
 
-        The laws and gains stay: without them, the scale of all forces would seem known. What is
-        needed beside the others is needed all the more without some of them.
+        The laws and gains stay: without them, the scale of all forces would seem known.
         """
         kept = {*self.settings.laws, *ALONG_TENDONS.values(), GAIN}
         while True:
@@ -459,9 +458,7 @@ class FarOffSearch:
                     # Far from here, the others may still make up for it.
                     moved = self._fit(moved, sides.few, self.settings.rough_fit)
                     needed = self._is_better(model, moved, sides, self.settings.needless)
-                if needed:
-                    kept.add(name)
-                else:
+                if not needed:
                     loss = self._gains(model, moved, sides.held_out)[0].sum()
                     needless.append((loss, name, moved))
             if not needless:
