@@ -700,7 +700,8 @@ class Diagnose:
     ) -> dict[str, Leader]:
         """The effects with which errors after some horizon are larger than without, by label.
 
-        What was estimated of the data does not count.
+        Of signals that were estimated, whose errors are not those of sensors, only large ones
+        count; of a model that is far off, which is fitted to what is measured, none.
 
         after: of the model as it came, with its parameters fitted, with everything, and without
         each effect; of the first three alone where the search was interrupted.
@@ -708,9 +709,13 @@ class Diagnose:
         if searched.interrupted or not after:
             return {}
         measured = are_measured(setup.problem)
+        limits = self.settings.horizons
+        of_estimated = replace(limits, worse=limits.estimated)
         found = []
         for i, instance in enumerate(searched.last.accepted):
-            beyond = worse_after(after, 3 + i, 2, self.settings.horizons, measured=measured)
+            beyond = worse_after(after, 3 + i, 2, limits, measured=measured)
+            if beyond is None and setup.explained is None:
+                beyond = worse_after(after, 3 + i, 2, of_estimated)
             if beyond is not None:
                 found.append((instance, beyond))
         found.sort(key=lambda one: -one[1].score)

@@ -202,7 +202,10 @@ class SearchSetup:
     steps_chosen : bool
         Whether it is decided in which steps the search begins.
     tried : Arithmetic or None
-        Other steps in which a search was made already.
+        Other steps in which a search was made already ...
+    to_beat : float
+        ... and how likely the model is that it ended with: others that are better than the model's
+        own are searched in only if they are better than that, too [nats].
     begun : tuple of State or None
         The model as it is, and the one that a search begins with, where they were made already.
     worse : mapping of str to Leader
@@ -231,6 +234,7 @@ class SearchSetup:
     exact: bool = False
     steps_chosen: bool = False
     tried: Arithmetic | None = None
+    to_beat: float = -np.inf
     begun: tuple[State, State] | None = None
     worse: Mapping[str, Leader] = field(default_factory=dict)
     compared: bool = False

@@ -30,6 +30,8 @@ from dropo.mjmodel.options import physics_step
 
 FEW_EFFECTS = 3
 """So many effects at least are looked for in the model's own steps beside more exact ones."""
+FEWEST_DEGREES = 3.0
+"""Degrees of freedom below which a standard error says little."""
 
 
 def with_noise_left(
@@ -209,9 +211,9 @@ def search_effects(setup: SearchSetup) -> tuple[SearchSetup, SearchedEffects]:
             return _in_either(replace(setup, begun=(first, begun)), alternatives)
         if begun is first or not alternatives(first, begun):
             last, reviews = explain(setup, first, begun, alternatives)
-            if alternatives.winner is None or setup.tried is not None:
+            if alternatives.winner in (None, setup.tried) or alternatives.reached < setup.to_beat:
                 return setup, SearchedEffects(first, last, reviews)
-        elif setup.tried is not None:
+        elif alternatives.winner == setup.tried or alternatives.reached < setup.to_beat:
             return setup, SearchedEffects(first, begun, reviews_so_far(selection, begun))
         return search_effects(_stepped(setup, alternatives))
     except KeyboardInterrupt:
@@ -239,6 +241,7 @@ def _in_either(
     most = max(FEW_EFFECTS, len(found.last.accepted) + 1)
     selection.settings = replace(usual, maximum_effects=min(most, usual.maximum_effects))
     own = replace(setup, selection=selection, steps_chosen=True, tried=alternatives.winner)
+    own = replace(own, to_beat=penalized_log_likelihood(found.last))
     own, other = search_effects(own)
     exact.library.simulator.steps = own.library.simulator.steps
     if other.interrupted:
@@ -479,21 +482,22 @@ def that_may_be_nothing(
     -------
     tuple of str and Leader, or None
         Its label, and what is said of it. Of an effect that is so many times a shape, the first
-        size alone counts.
+        size alone counts; one whose errors have few degrees of freedom is left alone.
     """
     last = searched.last
     if not last.accepted:
         return None
     errors, degrees = standard_errors(library, last)
-    half = dict(
-        zip(last.free.tolist(), errors * student_quantile(0.5 + level / 2, degrees), strict=True)
-    )
+    widths = errors * student_quantile(0.5 + level / 2, degrees)
+    told = degrees >= FEWEST_DEGREES
+    half = dict(zip(last.free[told].tolist(), widths[told], strict=True))
     found = []
     for instance in last.accepted:
         indices = library.indices_of[instance.label].tolist()
         scaling = indices if instance.linear_in is None else indices[:1]
         if all(index in half for index in scaling):
-            most = max(abs(float(last.theta[index])) / half[index] for index in scaling)
+            least = np.finfo(float).tiny
+            most = max(abs(float(last.theta[i])) / max(half[i], least) for i in scaling)
             found.append((most, instance))
     if not found:
         return None

@@ -65,6 +65,7 @@ BESIDE = {
     "nominal",
     "undetermined",
     "detectable",
+    "learned",
     "numerics",
     "to_type",
     "window_steps",

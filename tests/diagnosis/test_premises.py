@@ -111,10 +111,14 @@ def refused(*given):
     return False
 
 
+NEVER_WORSE = EveryHorizonSettings(worse=np.inf, estimated=np.inf)
+"""No error after any horizon speaks against an effect."""
+
+
 def test_long_physics_steps_are_no_cause(servo, monkeypatch):
     """Nothing is missing but short steps, and that is said: from the beginning, or in the place of
-    a cause. Left out, half a step is a delay for the windows, and no cause all the same, since
-    velocities after ten steps are worse with it.
+    a cause. Left out, half a step is a delay for the windows, and no cause all the same, since it
+    may be what the steps do, and velocities after ten steps are worse with it.
     """
     search = Diagnose(EFFECTS, length=10, windows=16, disturbances=False)
     decisions = ["is_preferred", "__call__"]
@@ -127,8 +131,11 @@ def test_long_physics_steps_are_no_cause(servo, monkeypatch):
     for decision in decisions:
         monkeypatch.setattr(ArithmeticAlternatives, decision, refused)
     (leader,) = search.run(servo).leaders
+    assert (leader.effect, leader.why) == ("actuator_delay", "its size may be 0")
+    by_horizons = replace(search, settings=DiagnosisSettings(nothing=0.0))
+    (leader,) = by_horizons.run(servo).leaders
     assert (leader.effect, leader.steps) == ("actuator_delay", 10)
-    by_windows = DiagnosisSettings(horizons=EveryHorizonSettings(worse=np.inf))
+    by_windows = DiagnosisSettings(nothing=0.0, horizons=NEVER_WORSE)
     (cause,) = replace(search, settings=by_windows).run(servo).causes
     assert cause.effect == "actuator_delay"
     assert cause.estimate["delay"].value == pytest.approx(COARSE / 2, rel=0.3)

@@ -18,11 +18,11 @@ def searched(hidden, accepted):
 
 
 def test_an_effect_whose_size_may_be_0_is_refused():
-    """Drag beside the damping that is there; it is said why."""
-    library, found = searched({"damping": 0.2}, ("damping", "drag"))
+    """A bias beside the damping that is there; it is said why."""
+    library, found = searched({"damping": 0.2}, ("damping", "bias"))
     label, leader = that_may_be_nothing(library, found, LEVEL)
-    assert label == "drag:mass"
-    assert (leader.effect, leader.why) == ("drag", "its size may be 0")
+    assert label == "bias:mass"
+    assert (leader.effect, leader.why) == ("bias", "its size may be 0")
     assert "not accepted" in leader.sentence
 
 

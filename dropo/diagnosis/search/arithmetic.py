@@ -152,6 +152,8 @@ class ArithmeticAlternatives:
         Which alternatives there are.
     winner : Arithmetic or None
         What explained the data better than an effect.
+    reached : float
+        How likely the model is with that, penalized [nats].
     """
 
     library: Library
@@ -161,6 +163,7 @@ class ArithmeticAlternatives:
     first: State
     settings: ArithmeticSettings = SETTINGS
     winner: Arithmetic | None = field(init=False, default=None)
+    reached: float = field(init=False, default=np.inf)
 
     @property
     def _robot(self) -> RobotSimulator | None:
@@ -223,6 +226,7 @@ class ArithmeticAlternatives:
             if is_confirmed(alternative.test, found.test, more, self.selection):
                 return False
         self.winner = self._refined(simulator, arithmetic, alternative, needed)
+        self.reached = penalized_log_likelihood(alternative)
         return True
 
     def is_preferred(self, state: State) -> bool:

@@ -29,7 +29,9 @@ class EveryHorizonSettings:
         Student's t with their number, at the level of a normal one ...
     worse : float
         ... and the part by which the root mean square must be larger than without an effect, and
-        than noise explains.
+        than noise explains; ...
+    estimated : float
+        ... without an effect where signals were estimated, whose errors are not those of sensors.
     misfit : float
         The part by which it must be larger than noise explains.
     few : int
@@ -45,6 +47,7 @@ class EveryHorizonSettings:
 
     z: float = 3.0
     worse: float = 0.03
+    estimated: float = 1.0
     misfit: float = 0.25
     few: int = 5
     times: float = 2.0
