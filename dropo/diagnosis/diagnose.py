@@ -510,12 +510,12 @@ class Diagnose:
             disturbances = left_out(task.undisturbed, inside)
         rest, beyond = self._after_every_horizon(setup, after, last, findings.rest, draws)
         learned = None if rest.calibrated else self._learned(setup, searched, draws)
-        whole = _with_learned(setup, searched, learned)
+        larger_setup, larger_end = _with_learned(setup, searched, learned)
         if learned is not None and learned.learned.used:
             with_causes = tuple(one.models[1] for one in learned.after)
         selection.progress(0.95, "what the pictures show")
         named = extended_problem(data, library, last)
-        extended = extended_problem(data, whole[0].library, whole[1].last)
+        extended = extended_problem(data, larger_setup.library, larger_end.last)
         declared = last.theta[: len(data.space)]
         parameters = dict(zip(data.space.names, declared.tolist(), strict=True))
         compared = self.disturbances and not (rest.calibrated or far_off) and complete
@@ -527,7 +527,7 @@ class Diagnose:
             suspects=suspects(selection, last, setup.count),
             leaders=leaders_of(setup, last, findings.worse),
             baseline=HeldOut(per_step(first), fitted),
-            extended=HeldOut(per_step(whole[1].last), with_causes),
+            extended=HeldOut(per_step(larger_end.last), with_causes),
             remaining=rest,
             problem=extended,
             detectable=self._detectable(setup, searched, verdict),
@@ -546,12 +546,12 @@ class Diagnose:
             to_type=to_type(task.came, named, parameters),
             disturbances=disturbances,
             outlier_runs=outlier_runs(data, named, declared) if compared else (),
-            replay=replayed(*whole) if far_off and complete else None,
+            replay=replayed(larger_setup, larger_end) if far_off and complete else None,
             figures=figure_data(
                 library, selection, first, last, searched.reviews, findings.forces, setup.count
             ),
             motion=motion(
-                data, whole[0].library, whole[1].first, whole[1].last, fitted, with_causes
+                data, larger_setup.library, larger_end.first, larger_end.last, fitted, with_causes
             ),
             learned=None if learned is None else learned.learned,
             warnings=(
@@ -714,7 +714,7 @@ class Diagnose:
         found = []
         for i, instance in enumerate(searched.last.accepted):
             beyond = worse_after(after, 3 + i, 2, limits, measured=measured)
-            if beyond is None and setup.explained is None:
+            if beyond is None and setup.explained is None and setup.problem.estimated:
                 beyond = worse_after(after, 3 + i, 2, of_estimated)
             if beyond is not None:
                 found.append((instance, beyond))

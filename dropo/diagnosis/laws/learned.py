@@ -20,7 +20,7 @@ from dropo.diagnosis.findings.accuracy.every_horizon import EveryHorizonSettings
 from dropo.diagnosis.findings.accuracy.horizons import AfterHorizon, after_horizons
 from dropo.diagnosis.laws.discovery import program_of, values_at
 from dropo.diagnosis.laws.extension import extended, padded, with_laws
-from dropo.diagnosis.laws.forces import ResidualForces, residual_forces
+from dropo.diagnosis.laws.forces import RANK, ResidualForces, residual_forces
 from dropo.diagnosis.search.confirmation import gain_of
 from dropo.diagnosis.search.linearization import Library, LinearizedWindows, shift_linearization
 from dropo.diagnosis.search.selection import Selection
@@ -79,8 +79,6 @@ OF_MOTION = (("q",), ("v",), ("q", "v"), ("v", "load"), ("v", f"lag(v, {PAST})")
 """What a force may be a function of ..."""
 OF_DRIVE = (*OF_MOTION, ("v", "motor"), ("q", "v", "motor"), ("v", f"lag(motor, {PAST})"))
 """... at a joint that has a drive."""
-RANK = 1e-9
-"""Relative size below which what bumps do together is rounding."""
 
 
 @dataclass(frozen=True)
@@ -263,12 +261,8 @@ def learn_forces(
 
     Parameters
     ----------
-    problem : Problem
-        That is diagnosed.
-    selection : Selection
-        The search that ended.
-    first, last : State
-        The model as it is, and where the search ended.
+    problem, selection, first, last
+        As of `find_laws`.
     rng : numpy.random.Generator
         Draws where bumps are looked for, and the starts of windows by which horizons are compared.
     horizons : EveryHorizonSettings
@@ -469,9 +463,7 @@ def _fitted(
     for law, sizes in laws:
         indices = library.indices_of[law.label]
         start[indices] = sizes
-        names = [quantity.name for quantity in law.quantities]
-        by_name = dict(zip(names, indices.tolist(), strict=True))
-        weighted += [by_name[f"{WEIGHT}{k}"] for k in range(_bump_count(names))]
+        weighted += _of_weights(law, indices).tolist()
     places = np.array(weighted)
 
     space = library.simulator.space
@@ -501,9 +493,12 @@ def _fitted(
     return theta
 
 
-def _bump_count(names: Sequence[str]) -> int:
-    """How many of the names are weights."""
-    return sum(name.startswith(WEIGHT) for name in names)
+def _of_weights(law: EffectInstance, values: Array) -> Array:
+    """What belongs to the weights (K,) of values of all constants, in the order of the bumps."""
+    names = [quantity.name for quantity in law.quantities]
+    by_name = dict(zip(names, values, strict=True))
+    count = sum(name.startswith(WEIGHT) for name in names)
+    return np.array([by_name[f"{WEIGHT}{k}"] for k in range(count)])
 
 
 def _left(forces: ResidualForces, side: LinearizedWindows) -> Array:
@@ -546,9 +541,7 @@ def _described(
     found = []
     for one, law in zip(chosen, laws, strict=True):
         numbers = theta[library.indices_of[law.label]]
-        names = [quantity.name for quantity in law.quantities]
-        by_name = dict(zip(names, numbers.tolist(), strict=True))
-        weights = np.array([by_name[f"{WEIGHT}{k}"] for k in range(_bump_count(names))])
+        weights = _of_weights(law, numbers)
         largest = float(np.abs(weights @ one.heights).max())
         found.append(
             LearnedForce(one.joint.name, one.variables, largest, one.joint.force, law.formula)

@@ -158,6 +158,22 @@ class SelectionSettings:
         clearly = abs(more_usual) >= self.more_usual
         return self.usual_margin if clearly else self.negligible_gain
 
+    def margin_in_place_of(self, effects: Collection[str], others: Collection[str]) -> float:
+        """Return the nats by which a model must be better that has some effects for others.
+
+        Parameters
+        ----------
+        effects, others : collection of str
+            Names of those that come, and of as many that go.
+
+        Returns
+        -------
+        float
+            The least that counts, if those that come are the more usual ones.
+        """
+        more_usual = self.more_usual_by(effects, others)
+        return self.negligible_gain if more_usual > 0 else self.margin(more_usual)
+
 
 SETTINGS = SelectionSettings()
 

@@ -377,18 +377,14 @@ class Selection:
             gain = penalized_log_likelihood(polished)
             if accepted is None:
                 least = trial.penalized_gain - (gain - penalized_log_likelihood(trial.state))
-            elif gain < penalized_log_likelihood(accepted) + self._margin(accepted, polished):
-                continue
+            else:
+                others = [accepted.accepted[-1].effect]
+                margin = self.settings.margin_in_place_of([instance.effect], others)
+                if gain < penalized_log_likelihood(accepted) + margin:
+                    continue
             accepted = polished
             self.origins[instance.label] = self._last_batch_with(trial.candidate)
         return accepted
-
-    def _margin(self, accepted: State, other: State) -> float:
-        """By how many nats a model must be better than one with another last effect."""
-        settings = self.settings
-        new, old = ([one.accepted[-1].effect] for one in (other, accepted))
-        more_usual = settings.more_usual_by(new, old)
-        return settings.negligible_gain if more_usual > 0 else settings.margin(more_usual)
 
     def _with_partner(
         self, state: State, instances: Sequence[EffectInstance], needed_gain: float

@@ -263,8 +263,7 @@ class SetSearch:
         if len(new) < len(gone):
             return settings.negligible_gain
         new.sort(key=settings.plausibility.of, reverse=True)
-        more_usual = settings.more_usual_by(new[: len(gone)], gone)
-        return settings.negligible_gain if more_usual > 0 else settings.margin(more_usual)
+        return settings.margin_in_place_of(new[: len(gone)], gone)
 
     def _confirmed(self, best: State, other: State) -> bool:
         """Whether windows held out confirm a model in the place of another.
