@@ -77,6 +77,17 @@ def test_an_error_that_was_not_announced_is_refused(copied, capsys):
     assert "extended.horizons.0.units: expected an error in rad, got rad/s" in told
 
 
+def test_an_error_that_is_null_is_refused(copied, capsys):
+    """Of a horizon whose own error is known."""
+    kept = copied / "diagnosis.json"
+    content = json.loads(kept.read_text())
+    content["extended"]["horizons"][0]["units"]["rad"]["rmse"] = None
+    kept.write_text(json.dumps(content))
+    assert main(["verify", str(copied)]) == 2
+    told = capsys.readouterr().err
+    assert "extended.horizons.0.units.rad.rmse: expected a number" in told
+
+
 def test_folders_without_a_diagnosis_are_refused(tmp_path, capsys):
     """None, an empty one, one of a regression alone: status 2, a sentence."""
     quick = ["--quick", "--hide", "joint_armature:elbow=0.01", "--quiet"]

@@ -182,16 +182,13 @@ def verify(folder: str | Path, *, trusted: bool = False) -> Verification:
                 key = f"extended.horizons.{i}.units"
                 got = ", ".join(announced["units"]) or "none"
                 raise BadFile(kept, key, f"an error in {unit}", got)
-            errors.append(
-                Verified(
-                    announced["steps"],
-                    announced["seconds"],
-                    unit,
-                    announced["units"][unit]["rmse"],
-                    value,
-                    ROUNDING * float(scale),
-                )
-            )
+            said = announced["units"][unit]["rmse"]
+            if said is None:
+                key = f"extended.horizons.{i}.units.{unit}.rmse"
+                raise BadFile(kept, key, "a number, as the horizon's rmse is one", "null")
+            negligible = ROUNDING * float(scale)
+            steps, seconds = announced["steps"], announced["seconds"]
+            errors.append(Verified(steps, seconds, unit, said, value, negligible))
     return Verification(str(content["problem"]), tuple(errors))
 
 
