@@ -668,8 +668,20 @@ class DROPO(Estimator):
         if fit.status is Status.INTERRUPTED:
             return fit
         rng = run.rng.spawn(1)[0]
-        warnings = family_warnings(problem, family, objective, found.point, fit, rng)
+        warnings = self._family_warnings(problem, family, objective, found.point, fit, rng)
         return replace(fit, warnings=(*fit.warnings, *warnings))
+
+    def _family_warnings(
+        self,
+        problem: Problem,
+        family: Family,
+        objective: LocalLogLikelihood,
+        phi: Array,
+        fit: Fit,
+        rng: np.random.Generator,
+    ) -> list[str]:
+        """What groups of recordings say against the family."""
+        return family_warnings(problem, family, objective, phi, fit, rng)
 
     def _of_maximum(
         self, family: Family, objective: LogLikelihood, found: SearchResult

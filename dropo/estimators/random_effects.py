@@ -20,8 +20,10 @@ from dropo.core.services.errors import Incompatible
 from dropo.core.services.tables import number, text_table
 from dropo.core.services.validation import Array, known
 from dropo.estimators.dropo import DROPO
+from dropo.estimators.support.clusters import Clusters, find_clusters
 from dropo.estimators.support.rough_starts import SEARCH, SearchSettings
 from dropo.evaluation.variance_components import variance_component_tests
+from dropo.families.mixture import Mixture
 
 
 @dataclass(frozen=True)
@@ -58,10 +60,11 @@ class RandomEffects(Estimator):
 
     Attributes
     ----------
-    family : {"truncated_gaussian", "full"}
+    family : {"truncated_gaussian", "full", "mixture"}
         "truncated_gaussian": its spreads need 2 groups, however many parameters there are, as each
         is fitted on its own. "full": its covariance needs more groups than parameters, else it is
-        singular.
+        singular. "mixture": two clusters, such as two batches of machines, sought once the groups
+        are found; the noise is that found with one Gaussian.
     epsilon : float, tuple of float, "learn", "tune" or None
         The noise variance, one or for each signal [signal unit^2], as that of `DROPO`.
     start : {"middle", "least-squares", "random"}, mapping, sequence of float or Fit
@@ -91,7 +94,7 @@ class RandomEffects(Estimator):
        Biometrics 31 (1975).
     """
 
-    family: Literal["truncated_gaussian", "full"] = "truncated_gaussian"
+    family: Literal["truncated_gaussian", "full", "mixture"] = "truncated_gaussian"
     epsilon: float | tuple[float, ...] | Literal["learn", "tune"] | None = None
     start: Start = "middle"
     start_noise: bool | None = None
@@ -101,7 +104,7 @@ class RandomEffects(Estimator):
     uses_priors = True
 
     def __post_init__(self) -> None:
-        known("family of random effects", self.family, ("truncated_gaussian", "full"))
+        known("family of random effects", self.family, ("truncated_gaussian", "full", "mixture"))
         self._make_estimator()
 
     def _make_estimator(self) -> "_Population":
@@ -112,8 +115,13 @@ class RandomEffects(Estimator):
             "start_noise": self.start_noise,
             "search": self.search,
         }
+        clustered = self.family == "mixture"
         return _Population(
-            likelihood="random-effects", family=self.family, settings=self.settings, **further
+            likelihood="random-effects",
+            family="truncated_gaussian" if clustered else self.family,
+            clustered=clustered,
+            settings=self.settings,
+            **further,
         )
 
     def _fit(self, problem: Problem, run: Run) -> Fit:
@@ -130,6 +138,11 @@ def _require_groups(count: int, d: int, family: str) -> None:
             "All data are one group, and one group cannot tell a spread. Use method 'dropo', or"
             " name the groups of rows that share one draw of the parameters ('group' in the data)."
         )
+    if family == "mixture" and count < 2 * d + 2:
+        raise Incompatible(
+            f"{count} groups cannot tell two clusters of {d} parameters: these take {2 * d + 2}."
+            " Use family 'truncated_gaussian', or bring more groups."
+        )
     if family == "full" and count <= d:
         raise Incompatible(
             f"{count} groups cannot tell a covariance of {d} parameters: with fewer than {d + 1} it"
@@ -140,8 +153,16 @@ def _require_groups(count: int, d: int, family: str) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class _Population(DROPO):
-    """DROPO's fit with the groups beside it."""
+    """DROPO's fit with the groups beside it.
 
+    Attributes
+    ----------
+    clustered : bool
+        Whether the groups are parted into two clusters.
+    settings : GroupSettings
+    """
+
+    clustered: bool = False
     settings: GroupSettings = field(default_factory=GroupSettings)
     name = "random-effects"
 
@@ -168,11 +189,25 @@ class _Population(DROPO):
         kept, covariance = _posterior(groups, spread, information)
         names = problem.space.names
         tests = variance_component_tests(objective, names, found.point, run.rng)
+        said = [fit.message, _describe_tests(tests, self.settings)]
+        warnings = [*fit.warnings, *_warnings(groups, fit, self.settings)]
+        if self.clustered:
+            mixture = Mixture(problem.space)
+            clusters = find_clusters(groups, mixture, fit.mean, fit.sd)
+            fit = _with_clusters(fit, mixture, clusters)
+            groups = replace(groups, mean=clusters.mean)
+            kept = clusters.kept
+            of_mean = np.nan_to_num(clusters.covariance[:d, :d])
+            covariance = clusters.spread + kept @ of_mean @ kept.swapaxes(1, 2)
+            said.append(_describe_clusters(fit, mixture, clusters))
+            warnings += _warnings_of_clusters(clusters)
         effects = _effects(problem, fit, groups, kept, covariance, tests)
-        sentence = _describe_tests(tests, self.settings)
-        message = f"{fit.message} {sentence}\n{_table(fit, effects)}"
-        warnings = (*fit.warnings, *_warnings(groups, fit, self.settings))
-        return replace(fit, groups=effects, warnings=warnings, message=message)
+        message = f"{' '.join(said)}\n{_table(fit, effects)}"
+        return replace(fit, groups=effects, warnings=tuple(warnings), message=message)
+
+    def _family_warnings(self, *arguments: Any) -> list[str]:
+        """What groups say against the family; of two clusters nothing is tested."""
+        return [] if self.clustered else super()._family_warnings(*arguments)
 
 
 def _posterior(groups: Groups, spread: Array, information: Array) -> tuple[Array, Array]:
@@ -214,6 +249,65 @@ def _effects(
         mean=groups.mean,
         covariance=covariance,
     )
+
+
+def _with_clusters(fit: Fit, family: Mixture, clusters: Clusters) -> Fit:
+    """The fit of two clusters in the place of one Gaussian."""
+    phi = clusters.phi
+    d = len(fit.mean)
+    errors = np.sqrt(np.diagonal(clusters.covariance))
+    # Of the variances, to first order in scales, weight and gaps.
+    size = 1e-6 * np.maximum(np.abs(phi), 1e-9)
+    half = np.diag(size)
+    change = [family.sd(phi + step) ** 2 - family.sd(phi - step) ** 2 for step in half]
+    slopes = np.stack(change) / (2 * size)[:, None]  # (m, d)
+    known = np.nan_to_num(clusters.covariance)
+    variance_se = np.sqrt(np.einsum("md,mn,nd->d", slopes, known, slopes))
+    if fit.variance_se is not None:  # of those that are 0
+        variance_se = np.where(np.isfinite(errors[d : 2 * d]), variance_se, fit.variance_se)
+    return replace(
+        fit,
+        family="mixture",
+        phi=phi,
+        mean=family.mean(phi),
+        scale=family.scale(phi),
+        sd=family.sd(phi),
+        correlation=family.correlation(phi),
+        mean_se=np.where(np.isnan(fit.mean_se), np.nan, errors[:d]),
+        scale_se=errors[d : 2 * d],
+        variance_se=variance_se,
+        degrees_of_freedom=clusters.degrees[:d],
+        log_likelihood=fit.log_likelihood + clusters.gain,
+    )
+
+
+def _describe_clusters(fit: Fit, family: Mixture, clusters: Clusters) -> str:
+    """Say in a sentence where the clusters are, and how many groups belong to each."""
+    second = int((clusters.membership > 0.5).sum())
+    counts = (len(clusters.membership) - second, second)
+    parts = []
+    for count, centre in zip(counts, family.centres(clusters.phi), strict=True):
+        values = [
+            f"{parameter.name} {number(float(value), 3)} {parameter.unit}".rstrip()
+            for parameter, value in zip(fit.space, centre, strict=True)
+        ]
+        parts.append(f"{count} about {', '.join(values)}")
+    gain = f"{clusters.gain:.3g} nats likelier than one"
+    return f"Two clusters of groups, {gain}: {'; '.join(parts)}."
+
+
+def _warnings_of_clusters(clusters: Clusters) -> list[str]:
+    """That two clusters are no better than one, or that their likelihood has no clear maximum."""
+    sentences = []
+    if not clusters.sufficient:
+        needed = 0.5 * clusters.added * np.log(len(clusters.membership))
+        sentences.append(
+            f"two clusters gain {clusters.gain:.3g} nats, and {needed:.3g} are needed for their"
+            f" {clusters.added} further numbers: take family 'truncated_gaussian'"
+        )
+    if np.isnan(clusters.covariance).all():
+        sentences.append("the likelihood of two clusters has no clear maximum: no standard errors")
+    return sentences
 
 
 def _by_name(names: Sequence[str], values: Array) -> dict[str, float]:

@@ -221,8 +221,8 @@ def _of_one_parameter(
         below, above = (np.median(sample.value[own, place]) for own in (order[:cut], order[cut:]))
         text = (
             f"the groups' {name} falls into two clusters, {cut} groups about {below:.3g} and"
-            f" {count - cut} about {above:.3g}{unit}, and {family} has one peak: fit each cluster"
-            " apart"
+            f" {count - cut} about {above:.3g}{unit}, and {family} has one peak: try --method"
+            " random-effects --family mixture"
         )
         findings.append(_Finding(name, p_value, text))
 

@@ -274,8 +274,8 @@ class _RandomEffects(GroupedLogLikelihood):
     def groups(self, phi: Array) -> Groups:
         """Return the groups under the population that phi (m,) names."""
         modes = self._modes(phi)
-        precision = self._integrate(phi, modes).precision
-        return Groups(self.label, np.bincount(self.of_row), modes, precision)
+        at = self._integrate(phi, modes)
+        return Groups(self.label, np.bincount(self.of_row), modes, at.precision, at.e)
 
     def mode_errors(self, phi: Array) -> Array:
         """Return how far each group's mode is from the simulator's own, by a simulation there."""

@@ -46,6 +46,7 @@ def said(kind, seed, count=50, **settings):
         np.ones(count, dtype=int),
         mean + (estimates - mean) @ shrunk.T,
         np.broadcast_to(precision, (count, 2, 2)),
+        (estimates - mean) @ precision,
     )
     return check_family(SPACE, "truncated_gaussian", groups, mean, covariance, rng, **settings)
 
@@ -81,7 +82,8 @@ def test_what_to_do_is_said():
     clusters = said("two clusters", 0)[0]
     assert "groups about 1.1" in clusters
     assert "about 1.9" in clusters
-    assert clusters.endswith("truncated_gaussian has one peak: fit each cluster apart")
+    assert "truncated_gaussian has one peak" in clusters
+    assert clusters.endswith("try --method random-effects --family mixture")
 
 
 def test_families_that_have_it_are_not_blamed():

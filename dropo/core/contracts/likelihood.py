@@ -485,12 +485,15 @@ class Groups:
         The mode of its parameters under the population, in their units.
     precision : (G, d, d) array
         The information that its own rows have on its parameters.
+    score : (G, d) array
+        The slope of its own rows' log-likelihood at the population's mean, by its parameters.
     """
 
     label: Ints
     rows: Ints
     mean: Array
     precision: Array
+    score: Array
 
     def __len__(self) -> int:
         return len(self.label)

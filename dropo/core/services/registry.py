@@ -83,6 +83,7 @@ BUILT_IN: dict[str, dict[str, str]] = {
         "uniform": "dropo.families.uniform:Uniform",
         "point": "dropo.families.point:Point",
         "log_normal": "dropo.families.log_normal:LogNormal",
+        "mixture": "dropo.families.mixture:Mixture",
     },
     "optimizers": {
         "cma-es": "dropo.optimizers.cma_es:CMAES",
