@@ -10,7 +10,7 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Trajectories
 from dropo.diagnosis.far_off.model import FarOffModel
 from dropo.diagnosis.regression.quick import sides
-from dropo.mjmodel.dynamics.holding_friction import IMPEDANCE
+from dropo.mjmodel.dynamics.holding_friction import IMPEDANCE, SHORTEST
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 XML = """
@@ -38,6 +38,7 @@ def servo(friction=0.0, holding=False, finer=1):
     joint.frictionloss = friction
     if holding:
         joint.solimp_friction[:2] = IMPEDANCE
+        joint.solref_friction = (SHORTEST, 1.0)
     return MujocoSimulator(spec, [], frame_skip=5 * finer, threads=1)
 
 

@@ -1,6 +1,6 @@
 """What a model that is far off lacks: regression, whole motions, what else these ask for."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -75,6 +75,9 @@ class FarOffSettings:
     scale : float
         Standard deviation of what is known of that scale, and of each drive's gain beside it, where
         motions do not tell it, as where a payload and rotors take up whatever the gain gives.
+    unlikely : float
+        Number of those standard deviations from which a gain is no reason to leave out what else
+        the motions ask for.
     accuracy : float
         Fraction of every number, with what the model has of it, that is added to its error: forces
         are known on the scale of the model's masses and inertias, which are not known better.
@@ -111,6 +114,7 @@ class FarOffSettings:
     simulated: int = 5_000_000
     certain: float = 3.0
     scale: float = 0.2
+    unlikely: float = 2.0
     accuracy: float = 0.02
     steps: ArithmeticSettings = field(default_factory=ArithmeticSettings)
     motions: LongWindowSettings = field(default_factory=LongWindowSettings)
@@ -292,14 +296,15 @@ class FarOffSearch:
             model = self._fit(model, sides.few, settings.rough_fit)
             self._latest = model, fitted
         model = self._with_exact_steps(model, sides)
-        if not model.holds and self._is_misfit(model, fitted):
-            self.progress(0.25, "fitting dry friction that holds what rests")
-            model = self._better(model, model.with_holding_friction(), sides)
+        if self._is_misfit(model, fitted):
+            model = self._with_holding_friction(model, sides)
         model = self._with_own_gains(model, sides)
         model = self._with_payload(model, sides)
         model = self._with_families(model, sides)
         model = self._without_needless(model, sides)
         model = self._with_steps_that_last(model, sides)
+        if self._is_promised(model, model.with_holding_friction(), sides):
+            model = self._with_holding_friction(model, sides)
         if whole.trajectories is not model.problem.trajectories:
             model = model.with_data_of(whole)
             chosen = settings.motions
@@ -376,6 +381,24 @@ class FarOffSearch:
         self._latest = own, sides.fitted
         return own
 
+    def _with_holding_friction(self, model: FarOffModel, sides: _Sides) -> FarOffModel:
+        """Dry friction that holds what rests, where motions are clearly better predicted by it."""
+        if model.holds:
+            return model
+        self.progress(0.25, "fitting dry friction that holds what rests")
+        return self._better(model, model.with_holding_friction(), sides)
+
+    def _is_promised(self, model: FarOffModel, other: FarOffModel, sides: _Sides) -> bool:
+        """Whether numbers that are moved by a linear step would predict motions clearly better in
+        another model that has the same.
+        """
+        error = self._error(model, sides.few)
+        residuals = self._error(other, sides.few).evaluated(model.theta)
+        end = error.linearize(model.theta, model.fitted)
+        as_it_is = error.left_after_step(end, end.residuals)
+        gain = as_it_is - error.left_after_step(end, residuals)
+        return gain > self.settings.share * end.cost
+
     def _with_own_gains(self, model: FarOffModel, sides: _Sides) -> FarOffModel:
         """A gain for each drive, where that is better than one for all, or as good as a payload.
 
@@ -439,7 +462,9 @@ class FarOffSearch:
     def _without_needless(self, model: FarOffModel, sides: _Sides) -> FarOffModel:
         """Drop the kinds of effects that data held out do not ask for, one after another.
 
-        The laws and gains stay: without them, the scale of all forces would seem known.
+        The laws and gains stay: without them, the scale of all forces would seem known. So does
+        what only a gain makes up for that is far from what is known of it, such as a payload of a
+        single link.
         """
         kept = {*self.settings.laws, *ALONG_TENDONS.values(), GAIN}
         while True:
@@ -453,12 +478,11 @@ class FarOffSearch:
                 labels = [one.label for one, _ in model.numbers if one.effect == name]
                 theta = _theta_without(model, end, labels)
                 moved = model.at(theta).without(labels)
-                needed = self._is_better(model, moved, sides, self.settings.needless)
+                needed = self._margin(model, moved, sides, self.settings.needless) > 0
                 if needed and name not in self.settings.usual:
-                    # Far from here, the others may still make up for it.
-                    moved = self._fit(moved, sides.few, self.settings.rough_fit)
-                    needed = self._is_better(model, moved, sides, self.settings.needless)
-                if not needed:
+                    moved = self._made_up_for(model, moved, sides)
+                    needed = self._margin(model, moved, sides, self.settings.needless) > 0
+                if not needed and (self._is_likely(moved) or not self._is_likely(model)):
                     loss = self._gains(model, moved, sides.held_out)[0].sum()
                     needless.append((loss, name, moved))
             if not needless:
@@ -467,15 +491,35 @@ class FarOffSearch:
             model = self._fit(least, sides.few, self.settings.rough_fit)
             self._latest = model, sides.fitted
 
+    def _is_likely(self, model: FarOffModel) -> bool:
+        """Whether all drives' gains are near what is known of them."""
+        known = self._known(model)
+        away = np.abs(model.theta - known.values) * np.sqrt(known.information)
+        return bool(np.all(away <= self.settings.unlikely))
+
+    def _made_up_for(self, model: FarOffModel, fewer: FarOffModel, sides: _Sides) -> FarOffModel:
+        """A model with fewer numbers than another, fitted roughly as long as these may make up for
+        the others: far from where they are, they may do so where a linear step says they do not.
+        """
+
+        def margin(one: FarOffModel) -> float:
+            return -self._margin(model, one, sides, self.settings.needless)
+
+        return self._fit_toward(fewer, sides, margin, margin(fewer))
+
     def _error(
         self, model: FarOffModel, motions: Motions, settings: OutputErrorSettings | None = None
     ) -> OutputError:
         """The output error of a model, with what is known of its drives' gains."""
+        chosen = settings or self.settings.fit
+        known = self._known(model)
+        return OutputError(self._library(model), motions, chosen, known, model.exact)
+
+    def _known(self, model: FarOffModel) -> Known:
+        """What is known of the drives' gains beside the motions."""
         gains = _gains(model)
         width = self.settings.scale * (1 + self._gain)
-        known = Known(np.where(gains, self._gain, 0.0), np.where(gains, 1 / width**2, 0.0))
-        chosen = settings or self.settings.fit
-        return OutputError(self._library(model), motions, chosen, known, model.exact)
+        return Known(np.where(gains, self._gain, 0.0), np.where(gains, 1 / width**2, 0.0))
 
     def _library(self, model: FarOffModel) -> Library:
         """A model's library, whose simulator's steps are counted."""
@@ -499,12 +543,42 @@ class FarOffSearch:
                 self._latest = model.at(found[-1]), motions
             raise
 
+    def _fit_toward(
+        self,
+        model: FarOffModel,
+        sides: _Sides,
+        margin: Callable[[FarOffModel], float],
+        before: float,
+    ) -> FarOffModel:
+        """A model fitted roughly, as long as its margin is above 0 or may still come to be.
+
+        It may not where all Jacobians that are left, each gaining as much as the last, are not
+        enough: later ones gain less.
+
+        margin: by how much a model predicts better than it must [nats].
+        before: the margin of the model as it is; -inf if that says nothing.
+        """
+        settings = self.settings.rough_fit
+        for left in reversed(range(settings.jacobians)):
+            model = self._fit(model, sides.few, replace(settings, jacobians=1))
+            now = margin(model)
+            if now > 0:
+                return self._fit(model, sides.few, replace(settings, jacobians=left))
+            if now + left * (now - before) <= 0:
+                break
+            before = now
+        return model
+
     def _better(self, model: FarOffModel, other: FarOffModel, sides: _Sides) -> FarOffModel:
         """Another model, fitted roughly, where it predicts clearly better; else the model."""
         if other is model:
             return model
-        other = self._fit(other, sides.few, self.settings.rough_fit)
-        if not self._is_better(other, model, sides):
+
+        def margin(one: FarOffModel) -> float:
+            return self._margin(one, model, sides, self.settings.z)
+
+        other = self._fit_toward(other, sides, margin, -np.inf)
+        if margin(other) <= 0:
             return model
         self._latest = other, sides.fitted
         return other
@@ -586,24 +660,25 @@ class FarOffSearch:
         limit = np.hypot(noise, np.minimum(by_step, size / 2))
         return bool(np.median(size / limit) > 1)
 
-    def _is_better(
-        self, more: FarOffModel, model: FarOffModel, sides: _Sides, z: float | None = None
-    ) -> bool:
-        """Whether windows are predicted clearly better with more numbers.
+    def _is_better(self, more: FarOffModel, model: FarOffModel, sides: _Sides) -> bool:
+        """Whether windows are predicted clearly better with more numbers."""
+        return self._margin(more, model, sides, self.settings.z) > 0
+
+    def _margin(self, more: FarOffModel, model: FarOffModel, sides: _Sides, z: float) -> float:
+        """By how much windows are predicted better with more numbers than what is certain [nats].
 
         Those held out by a part that counts; all of them for certain, less what numbers gain by
         being fitted.
 
-        z: how many standard errors are certain; the settings' if None.
+        z: how many standard errors are certain.
         """
         gains, cost = self._gains(more, model, sides.held_out)
-        if gains.sum() <= self.settings.share * cost:
-            return False
+        of_held_out = gains.sum() - self.settings.share * cost
         of_fitted, _ = self._gains(more, model, sides.few)
         every = np.concatenate([gains, of_fitted])
         error = every.std(ddof=1) * np.sqrt(len(every)) if len(every) > 1 else np.inf
         added = max(0, len(more.fitted) - len(model.fitted))
-        return bool(every.sum() - added > (self.settings.z if z is None else z) * error)
+        return float(min(of_held_out, every.sum() - added - z * error))
 
     def _gains(
         self, more: FarOffModel, model: FarOffModel, motions: Motions

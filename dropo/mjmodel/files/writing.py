@@ -67,6 +67,7 @@ def _write_joints(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
         joint.armature = model.dof_armature[dof]
         joint.frictionloss = model.dof_frictionloss[dof]
         joint.solimp_friction = model.dof_solimp[dof]
+        joint.solref_friction = model.dof_solref[dof]
         joint.damping = _fill(joint.damping, [model.dof_damping[dof]])
         joint.stiffness = _fill(joint.stiffness, [model.jnt_stiffness[joint.id]])
         if joint.type in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
@@ -97,6 +98,7 @@ def _write_tendons(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
         tendon.armature = model.tendon_armature[tendon.id]
         tendon.frictionloss = model.tendon_frictionloss[tendon.id]
         tendon.solimp_friction = model.tendon_solimp_fri[tendon.id]
+        tendon.solref_friction = model.tendon_solref_fri[tendon.id]
         tendon.damping = _fill(tendon.damping, [model.tendon_damping[tendon.id]])
         tendon.stiffness = _fill(tendon.stiffness, [model.tendon_stiffness[tendon.id]])
 

@@ -8,7 +8,7 @@ import pytest
 
 from dropo.core.contracts.estimator import silent
 from dropo.diagnosis.far_off.motions import motions_of
-from dropo.diagnosis.far_off.search import KNOWN, FarOffSearch, _Sides
+from dropo.diagnosis.far_off.search import KNOWN, ROUGH, FarOffSearch, _Sides
 from dropo.diagnosis.far_off.start import FarOffLimits, start_of
 from dropo.diagnosis.regression.quick import QuickSettings
 from dropo.mjmodel.options import integrator
@@ -228,8 +228,45 @@ def test_a_kind_is_left_out_within_one_standard_error(monkeypatch, gain, kept):
     pieces = gain / np.sqrt(16) + spread
     monkeypatch.setattr(search, "_gains", lambda *arguments: (pieces, 1.0))
     sides = SimpleNamespace(held_out=None, few=None)
-    assert search._is_better(model, model, sides, SETTINGS.needless) == kept
+    assert (search._margin(model, model, sides, SETTINGS.needless) > 0) == kept
     assert search._is_better(model, model, sides) == (gain > SETTINGS.z)
+
+
+@pytest.mark.parametrize(
+    ("margins", "jacobians"),
+    [
+        ((-100.0, -60.0, 5.0), [1, 1, 1, 1]),  # above 0: to the end
+        ((-100.0, -99.0), [1, 1]),  # two more such steps are too few
+        ((-100.0, -60.0, -40.0), [1, 1, 1]),
+    ],
+)
+def test_a_fit_ends_where_the_steps_that_are_left_are_too_few(monkeypatch, margins, jacobians):
+    """Each that is left is taken to gain as much as the last; the first tells nothing yet."""
+    search = FarOffSearch(replace(SETTINGS, rough_fit=replace(ROUGH, jacobians=4)), silent)
+    taken = []
+
+    def fit(model, motions, settings):
+        taken.append(settings.jacobians)
+        return model
+
+    monkeypatch.setattr(search, "_fit", fit)
+    left = iter(margins)
+    search._fit_toward(None, SimpleNamespace(few=None), lambda model: next(left), -np.inf)
+    assert taken == jacobians
+
+
+@pytest.mark.parametrize(("gain", "likely"), [(-0.3, True), (-0.48, False), (0.5, False)])
+def test_what_a_gain_far_off_makes_up_for_stays(monkeypatch, gain, likely):
+    """A kind that no data ask for is left out where the drives' gain stays near what is known."""
+    search = FarOffSearch(SETTINGS, silent)
+    model = torque_arm("actuator_gain", "actuator_delay")
+    theta = model.theta.copy()
+    theta[-2] = gain
+    monkeypatch.setattr(search, "_margin", lambda *given: -1.0)
+    monkeypatch.setattr("dropo.diagnosis.far_off.search._theta_without", lambda *given: theta)
+    monkeypatch.setattr(search, "_fit", lambda model, motions, settings: model)
+    found = search._without_needless(model, search_sides(model))
+    assert (len(found.numbers) == 1) == likely
 
 
 def test_kinds_that_are_needed_together_are_added_together(monkeypatch):

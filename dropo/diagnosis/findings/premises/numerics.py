@@ -17,7 +17,7 @@ from dropo.diagnosis.search.linearization import Library, LinearizedWindows, shi
 from dropo.diagnosis.search.refit import settle
 from dropo.diagnosis.search.trials import State
 from dropo.diagnosis.search.windows import spread_of
-from dropo.mjmodel.dynamics.holding_friction import holds, impedance
+from dropo.mjmodel.dynamics.holding_friction import holds, impedance, time_constant
 from dropo.mjmodel.options import integrator, physics_step
 from dropo.mjmodel.robot_simulator import RobotSimulator
 
@@ -87,10 +87,11 @@ def numerics(
     """
     sentences = []
     if holds(robot_of(found).model) and not holds(robot_of(given).model):
+        own = robot_of(found).model
         sentences.append(
-            "Dry friction holds what rests here, where MuJoCo's lets it creep: the extended model"
-            f" has solimpfriction {impedance(robot_of(found).model):.4f}, which predicts data"
-            " held out better."
+            "Dry friction holds what rests here and turns with the velocity, where MuJoCo's creeps"
+            f" and turns early: the extended model has solimpfriction {impedance(own):.4f} and"
+            f" solreffriction {time_constant(own):.4f}, which predicts data held out better."
         )
     step = physics_step(robot_of(found).model)
     sentences += _other_steps(robot_of(given).model, robot_of(found).model)
