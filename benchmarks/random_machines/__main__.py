@@ -1,6 +1,6 @@
 """What a diagnosis finds of machines of random shape that lack none, one or two things.
 
-`python benchmarks/random_machines COUNT FIRST_SEED [--whole]` draws machines, which plain MuJoCo
+`python benchmarks/random_machines COUNT FIRST_SEED [--whole] [--equations]` draws machines, which plain MuJoCo
 steps finer and otherwise than their models, and prints a line each and a table: of the regression,
 or of the search by simulation that follows it. A machine is right if what is missing is named with
 its place, nothing else is, and each size is within 3 standard errors; a payload may be called a
@@ -9,6 +9,10 @@ cause cannot be told from; a machine is in the set if it would be right with wha
 of that cause. Both are counted a second time without what is missed and of which the log says less
 than 100 nats, by simulations with and without it. Rules and thresholds are chosen on seeds below
 1000.
+
+With `--equations` the machines are hanging arms that no simulator steps, but equations of their own
+(`equations.py`), with servos; their models lack rotor, damping and friction at every joint, and
+often a payload and a delay. All of it counts as told.
 """
 
 import sys
@@ -18,7 +22,8 @@ from typing import Any
 
 import numpy as np
 from design import DRIVES
-from drawing import Numbers, Told, drawn
+from drawing import Numbers, Place, Told, drawn
+from equations import stepped
 from hidden import NUMBERS
 
 from dropo.core.services.tables import Table
@@ -48,6 +53,7 @@ HEADER = (
     "RMS z",
     "seconds",
 )
+OPTIONS = ("--whole", "--equations")
 SAME = {"body_mass": "payload"}
 """A body that is heavier carries something: the names that count as others."""
 OF_A_PAYLOAD = ("body_com", "body_inertia")
@@ -55,11 +61,11 @@ OF_A_PAYLOAD = ("body_com", "body_inertia")
 """
 
 
-def main(count: int, first: int, whole: bool) -> None:
+def main(count: int, first: int, whole: bool, equations: bool) -> None:
     """Diagnose machines, a line each, and print what is right of those that lack as much."""
     answers = []
     for seed in range(first, first + count):
-        answers.append(diagnosed(seed, whole))
+        answers.append(diagnosed(seed, whole, equations))
         print(seed, answers[-1], flush=True)
     sizes = ("nothing", "one thing", "two things")
     groups = [(size, _of_size(answers, number)) for number, size in enumerate(sizes)]
@@ -98,7 +104,7 @@ def _cells(own: Sequence[dict[str, Any]]) -> list[str]:
     ]
 
 
-def diagnosed(seed: int, whole: bool) -> dict[str, Any]:
+def diagnosed(seed: int, whole: bool, equations: bool = False) -> dict[str, Any]:
     """One machine and its diagnosis.
 
     Parameters
@@ -107,13 +113,20 @@ def diagnosed(seed: int, whole: bool) -> dict[str, Any]:
         Decides everything.
     whole : bool
         Whether the search by simulation follows the regression.
+    equations : bool
+        Whether the machine is stepped by equations of its own.
 
     Returns
     -------
     dict
         The kind of drives; what is hidden; what `compare` says; verdict; seconds of processor time.
     """
-    problem, drives, truth, told = drawn(seed)
+    if equations:
+        problem, truth = stepped(seed)
+        drives = "position"
+        told: Told = _all_is_told
+    else:
+        problem, drives, truth, told = drawn(seed)
     begun = time.process_time()
     found: Diagnosis | QuickDiagnosis
     if whole:
@@ -128,6 +141,11 @@ def diagnosed(seed: int, whole: bool) -> dict[str, Any]:
         "verdict": found.verdict,
         "seconds": seconds,
     }
+
+
+def _all_is_told(missed: Sequence[Place]) -> Numbers:
+    """A log that says everything of what is missed."""
+    return dict.fromkeys(missed, np.inf)
 
 
 def compare(causes: Sequence[Cause], truth: Numbers, told: Told) -> dict[str, Any]:
@@ -185,4 +203,4 @@ def compare(causes: Sequence[Cause], truth: Numbers, told: Told) -> dict[str, An
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]), int(sys.argv[2]), "--whole" in sys.argv[3:])
+    main(int(sys.argv[1]), int(sys.argv[2]), *(word in sys.argv[3:] for word in OPTIONS))
