@@ -15,7 +15,7 @@ from dropo.diagnosis.findings.limits.scale_of_forces import untold_scales, with_
 from dropo.diagnosis.findings.premises.numerics import refused_delay, short_delay
 from dropo.diagnosis.parts import Leader
 from dropo.diagnosis.search.arithmetic import ArithmeticAlternatives
-from dropo.diagnosis.search.confirmation import gain_of
+from dropo.diagnosis.search.confirmation import gain_of, is_confirmed
 from dropo.diagnosis.search.known_causes import begin_with
 from dropo.diagnosis.search.library import robot_of
 from dropo.diagnosis.search.linearization import Library, shift_linearization
@@ -26,8 +26,11 @@ from dropo.diagnosis.search.sets import SetSearch, SetSettings
 from dropo.diagnosis.search.trials import Batch, State, penalized_log_likelihood
 from dropo.diagnosis.search.whitening import WhitenessSettings, WindowNoise, white
 from dropo.diagnosis.setup import SearchedEffects, SearchSetup
+from dropo.mjmodel.dynamics.holding_friction import holds, rubs
 from dropo.mjmodel.options import physics_step
 
+FRICTION = ("joint_friction", "tendon_friction")
+"""Effects that are dry friction."""
 FEW_EFFECTS = 3
 """So many effects at least are looked for in the model's own steps beside more exact ones."""
 FEWEST_DEGREES = 3.0
@@ -94,7 +97,7 @@ def solved(
     left : WithoutDisturbances or None
         What is left without disturbances.
     """
-    setup, found = search_effects(setup)
+    setup, found = _with_holding_friction(*search_effects(setup))
     if found.interrupted:
         return setup, found, None
     try:
@@ -108,7 +111,7 @@ def solved(
         if np.abs(noise.rho).max() < settings.weak:
             coloured = replace(coloured, begun=_begun_with(coloured, found.last))
             coloured.selection.origins = dict(setup.selection.origins)
-        again, anew = search_effects(coloured)
+        again, anew = _with_holding_friction(*search_effects(coloured))
         if anew.interrupted:
             # What was found before is whole; half a search under other premises is not.
             return setup, replace(found, interrupted=True), None
@@ -153,6 +156,38 @@ def _begun_with(setup: SearchSetup, last: State) -> tuple[State, State]:
         setup.train, setup.test, last.theta, noise, last.free, last.accepted
     )
     return first, selection.polish(state)
+
+
+def _with_holding_friction(
+    setup: SearchSetup, found: SearchedEffects
+) -> tuple[SearchSetup, SearchedEffects]:
+    """A search that goes on with dry friction that holds what rests, if the end of one asks for it.
+
+    MuJoCo's creeps and turns early, which in a gearbox's data looks like laws, lags and damping.
+    """
+    last = found.last
+    library = setup.library
+    simulator = robot_of(setup.problem)
+    rubbing = rubs(simulator.model) or any(one.effect in FRICTION for one in last.accepted)
+    if setup.explained is not None or found.interrupted or not rubbing or holds(simulator.model):
+        return setup, found
+    holding = library.simulator.with_holding_friction()  # type: ignore[attr-defined]
+    holding.steps = library.simulator.steps
+    coarse = library.coarse
+    if coarse is not None:
+        coarse = coarse.with_holding_friction()  # type: ignore[attr-defined]
+    library = replace(library, simulator=holding, coarse=coarse)
+    selection = replace(_anew(setup, "friction that holds what rests"), library=library)
+    problem = replace(setup.problem, simulator=simulator.with_holding_friction())
+    other = replace(setup, problem=problem, library=library, selection=selection)
+    first, begun = _begun_with(other, last)
+    needed = selection.settings.needed_gain(1)
+    gain = penalized_log_likelihood(begun) - penalized_log_likelihood(last)
+    if gain > needed and is_confirmed(last.test, begun.test, needed, selection.settings):
+        selection.origins = dict(setup.selection.origins)
+        return search_effects(replace(other, begun=(first, begun)))
+    setup.library.simulator.steps = holding.steps
+    return setup, found
 
 
 def _stepped(setup: SearchSetup, alternatives: ArithmeticAlternatives) -> SearchSetup:

@@ -58,6 +58,22 @@ def holds(model: mujoco.MjModel) -> bool:
     return bool(np.all(impedances >= IMPEDANCE) and np.all(shortest))
 
 
+def rubs(model: mujoco.MjModel) -> bool:
+    """Tell whether a model has dry friction.
+
+    Parameters
+    ----------
+    model : MjModel
+        Any.
+
+    Returns
+    -------
+    bool
+    """
+    sizes = np.concatenate([model.dof_frictionloss, model.tendon_frictionloss])
+    return bool(np.any(sizes > 0))
+
+
 def impedance(model: mujoco.MjModel) -> float:
     """Return the impedance of the dry friction of a model's joints.
 
