@@ -114,7 +114,7 @@ class FarOffSettings:
     simulated: int = 5_000_000
     certain: float = 3.0
     scale: float = 0.2
-    unlikely: float = 2.0
+    unlikely: float = 1.0
     accuracy: float = 0.02
     steps: ArithmeticSettings = field(default_factory=ArithmeticSettings)
     motions: LongWindowSettings = field(default_factory=LongWindowSettings)
@@ -505,7 +505,7 @@ class FarOffSearch:
         def margin(one: FarOffModel) -> float:
             return -self._margin(model, one, sides, self.settings.needless)
 
-        return self._fit_toward(fewer, sides, margin, margin(fewer))
+        return self._fit_toward(fewer, sides, margin)
 
     def _error(
         self, model: FarOffModel, motions: Motions, settings: OutputErrorSettings | None = None
@@ -544,11 +544,7 @@ class FarOffSearch:
             raise
 
     def _fit_toward(
-        self,
-        model: FarOffModel,
-        sides: _Sides,
-        margin: Callable[[FarOffModel], float],
-        before: float,
+        self, model: FarOffModel, sides: _Sides, margin: Callable[[FarOffModel], float]
     ) -> FarOffModel:
         """A model fitted roughly, as long as its margin is above 0 or may still come to be.
 
@@ -556,9 +552,9 @@ class FarOffSearch:
         enough: later ones gain less.
 
         margin: by how much a model predicts better than it must [nats].
-        before: the margin of the model as it is; -inf if that says nothing.
         """
         settings = self.settings.rough_fit
+        before = margin(model)
         for left in reversed(range(settings.jacobians)):
             model = self._fit(model, sides.few, replace(settings, jacobians=1))
             now = margin(model)
@@ -577,7 +573,7 @@ class FarOffSearch:
         def margin(one: FarOffModel) -> float:
             return self._margin(one, model, sides, self.settings.z)
 
-        other = self._fit_toward(other, sides, margin, -np.inf)
+        other = self._fit_toward(other, sides, margin)
         if margin(other) <= 0:
             return model
         self._latest = other, sides.fitted
