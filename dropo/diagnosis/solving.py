@@ -7,7 +7,9 @@ import numpy as np
 
 from dropo.core.contracts.effect import EffectInstance
 from dropo.core.numerics.tails import student_quantile
+from dropo.core.records.trajectories import Ints
 from dropo.core.services.tables import number, steps_text
+from dropo.core.services.validation import Array
 from dropo.data.outliers.without_disturbances import WithoutDisturbances
 from dropo.diagnosis.findings.accuracy.every_horizon import Beyond
 from dropo.diagnosis.findings.causes import standard_errors
@@ -30,7 +32,9 @@ from dropo.mjmodel.dynamics.holding_friction import holds, rubs
 from dropo.mjmodel.options import physics_step
 
 FRICTION = ("joint_friction", "tendon_friction")
-"""Effects that are dry friction."""
+"""Effects that are dry friction, that of joints first."""
+FALLING = "joint_stribeck"
+"""Dry friction that falls with speed."""
 FEW_EFFECTS = 3
 """So many effects at least are looked for in the model's own steps beside more exact ones."""
 FEWEST_DEGREES = 3.0
@@ -163,12 +167,14 @@ def _with_holding_friction(
 ) -> tuple[SearchSetup, SearchedEffects]:
     """A search that goes on with dry friction that holds what rests, if the end of one asks for it.
 
-    MuJoCo's creeps and turns early, which in a gearbox's data looks like laws, lags and damping.
+    MuJoCo's creeps and turns early, which in a gearbox's data looks like laws, lags and damping;
+    friction that falls with speed turns with it, and may stand for one that does not fall.
     """
     last = found.last
     library = setup.library
     simulator = robot_of(setup.problem)
-    rubbing = rubs(simulator.model) or any(one.effect in FRICTION for one in last.accepted)
+    kinds = {one.effect for one in last.accepted}
+    rubbing = rubs(simulator.model) or not kinds.isdisjoint((*FRICTION, FALLING))
     if setup.explained is not None or found.interrupted or not rubbing or holds(simulator.model):
         return setup, found
     holding = library.simulator.with_holding_friction()  # type: ignore[attr-defined]
@@ -180,14 +186,48 @@ def _with_holding_friction(
     selection = replace(_anew(setup, "friction that holds what rests"), library=library)
     problem = replace(setup.problem, simulator=simulator.with_holding_friction())
     other = replace(setup, problem=problem, library=library, selection=selection)
-    first, begun = _begun_with(other, last)
-    needed = selection.settings.needed_gain(1)
+    first = other.first()
+    theta, free, accepted = _without_falling(library, last)
+    noise = first.train.whiten.noise
+    state = selection.without_fitting(other.train, other.test, theta, noise, free, accepted)
+    begun = selection.polish(state)
+    settings = selection.settings
     gain = penalized_log_likelihood(begun) - penalized_log_likelihood(last)
-    if gain > needed and is_confirmed(last.test, begun.test, needed, selection.settings):
+    needed = settings.needed_gain(1)
+    if FALLING in kinds:  # what is more usual need not be better
+        asked_for = gain > -settings.usual_margin
+    else:
+        asked_for = gain > needed and is_confirmed(last.test, begun.test, needed, settings)
+    if asked_for:
         selection.origins = dict(setup.selection.origins)
         return search_effects(replace(other, begun=(first, begun)))
     setup.library.simulator.steps = holding.steps
     return setup, found
+
+
+def _without_falling(
+    library: Library, state: State
+) -> tuple[Array, Ints, tuple[EffectInstance, ...]]:
+    """A model's numbers (m,), which of them are fitted, and its effects, with plain dry friction in
+    the place of one that falls with speed.
+    """
+    theta = state.theta.copy()
+    free = set(state.free.tolist())
+    accepted = []
+    plain = {one.target: one for one in library.instances if one.effect == FRICTION[0]}
+    for instance in state.accepted:
+        other = plain.get(instance.target)
+        if instance.effect != FALLING or other is None:
+            accepted.append(instance)
+            continue
+        own = library.indices_of[instance.label]
+        its = library.indices_of[other.label]
+        if other not in state.accepted:
+            accepted.append(other)
+        theta[its[0]] += theta[own[0]]
+        theta[own] = 0.0
+        free = free.difference(own.tolist()).union(its.tolist())
+    return theta, np.array(sorted(free), dtype=np.int64), tuple(accepted)
 
 
 def _stepped(setup: SearchSetup, alternatives: ArithmeticAlternatives) -> SearchSetup:
