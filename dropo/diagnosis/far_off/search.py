@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from dropo.core.contracts.effect import EffectInstance
 from dropo.core.contracts.estimator import Progress
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import Simulator
@@ -24,6 +25,8 @@ from dropo.diagnosis.search.linearization import DIVERGED, Library
 from dropo.diagnosis.search.selection import STOPPING
 from dropo.mjmodel.robot_simulator import RobotSimulator
 
+BODY_MASS = "body_mass"
+"""The effect that a body weighs more or less."""
 KNOWN = 1e-4
 """Standard deviation of a scale that is known."""
 
@@ -75,9 +78,8 @@ class FarOffSettings:
     scale : float
         Standard deviation of what is known of that scale, and of each drive's gain beside it, where
         motions do not tell it, as where a payload and rotors take up whatever the gain gives.
-    unlikely : float
-        Number of those standard deviations from which a gain is no reason to leave out what else
-        the motions ask for.
+    made_up : float
+        Change of a gain from which it makes up for a mass that was left out.
     accuracy : float
         Fraction of every number, with what the model has of it, that is added to its error: forces
         are known on the scale of the model's masses and inertias, which are not known better.
@@ -114,7 +116,7 @@ class FarOffSettings:
     simulated: int = 5_000_000
     certain: float = 3.0
     scale: float = 0.2
-    unlikely: float = 1.0
+    made_up: float = 0.05
     accuracy: float = 0.02
     steps: ArithmeticSettings = field(default_factory=ArithmeticSettings)
     motions: LongWindowSettings = field(default_factory=LongWindowSettings)
@@ -462,9 +464,8 @@ class FarOffSearch:
     def _without_needless(self, model: FarOffModel, sides: _Sides) -> FarOffModel:
         """Drop the kinds of effects that data held out do not ask for, one after another.
 
-        The laws and gains stay: without them, the scale of all forces would seem known. So does
-        what only a gain makes up for that is far from what is known of it, such as a payload of a
-        single link.
+        The laws and gains stay: without them, the scale of all forces would seem known. So does a
+        mass that only a gain makes up for, as of a single link: of both, it is the more usual.
         """
         kept = {*self.settings.laws, *ALONG_TENDONS.values(), GAIN}
         while True:
@@ -482,7 +483,7 @@ class FarOffSearch:
                 if needed and name not in self.settings.usual:
                     moved = self._made_up_for(model, moved, sides)
                     needed = self._margin(model, moved, sides, self.settings.needless) > 0
-                if not needed and (self._is_likely(moved) or not self._is_likely(model)):
+                if not needed and not self._is_mass_for_gain(model, moved, name):
                     loss = self._gains(model, moved, sides.held_out)[0].sum()
                     needless.append((loss, name, moved))
             if not needless:
@@ -491,11 +492,14 @@ class FarOffSearch:
             model = self._fit(least, sides.few, self.settings.rough_fit)
             self._latest = model, sides.fitted
 
-    def _is_likely(self, model: FarOffModel) -> bool:
-        """Whether all drives' gains are near what is known of them."""
-        known = self._known(model)
-        away = np.abs(model.theta - known.values) * np.sqrt(known.information)
-        return bool(np.all(away <= self.settings.unlikely))
+    def _is_mass_for_gain(self, model: FarOffModel, fewer: FarOffModel, left_out: str) -> bool:
+        """Whether a kind of effects that was left out adds mass, and a drive's gain makes up."""
+        if not any(one.effect == left_out and sizes[0] > 0 for one, sizes in _masses(model)):
+            return False
+        before = {one.label: sizes for one, sizes in model.numbers if one.effect == GAIN}
+        after = {one.label: sizes for one, sizes in fewer.numbers if one.effect == GAIN}
+        moved = [np.abs(after[label] - sizes).max() for label, sizes in before.items()]
+        return bool(max(moved, default=0.0) > self.settings.made_up)
 
     def _made_up_for(self, model: FarOffModel, fewer: FarOffModel, sides: _Sides) -> FarOffModel:
         """A model with fewer numbers than another, fitted roughly as long as these may make up for
@@ -511,15 +515,11 @@ class FarOffSearch:
         self, model: FarOffModel, motions: Motions, settings: OutputErrorSettings | None = None
     ) -> OutputError:
         """The output error of a model, with what is known of its drives' gains."""
-        chosen = settings or self.settings.fit
-        known = self._known(model)
-        return OutputError(self._library(model), motions, chosen, known, model.exact)
-
-    def _known(self, model: FarOffModel) -> Known:
-        """What is known of the drives' gains beside the motions."""
         gains = _gains(model)
         width = self.settings.scale * (1 + self._gain)
-        return Known(np.where(gains, self._gain, 0.0), np.where(gains, 1 / width**2, 0.0))
+        known = Known(np.where(gains, self._gain, 0.0), np.where(gains, 1 / width**2, 0.0))
+        chosen = settings or self.settings.fit
+        return OutputError(self._library(model), motions, chosen, known, model.exact)
 
     def _library(self, model: FarOffModel) -> Library:
         """A model's library, whose simulator's steps are counted."""
@@ -722,6 +722,11 @@ def _gains(model: FarOffModel) -> NDArray[np.bool_]:
         if instance.effect == GAIN:
             found[model.library.indices_of[instance.label]] = True
     return found
+
+
+def _masses(model: FarOffModel) -> list[tuple[EffectInstance, Array]]:
+    """The effects of a model that add mass, with their sizes, the mass first."""
+    return [(one, sizes) for one, sizes in model.numbers if one.effect in (PAYLOAD, BODY_MASS)]
 
 
 def _theta_without(model: FarOffModel, end: Fitted, labels: Sequence[str]) -> Array:

@@ -255,18 +255,23 @@ def test_a_fit_ends_where_the_steps_that_are_left_are_too_few(monkeypatch, margi
     assert taken == jacobians
 
 
-@pytest.mark.parametrize(("gain", "likely"), [(-0.15, True), (-0.33, False), (0.5, False)])
-def test_what_a_gain_far_off_makes_up_for_stays(monkeypatch, gain, likely):
-    """A kind that no data ask for is left out where the drives' gain stays near what is known."""
+@pytest.mark.parametrize(
+    ("mass", "gain", "stays"), [(0.3, -0.2, True), (0.3, -0.02, False), (-0.1, 0.2, False)]
+)
+def test_a_mass_that_a_gain_makes_up_for_stays(monkeypatch, mass, gain, stays):
+    """Though no data ask for it. Controls: a gain that hardly moves, and a mass taken away."""
     search = FarOffSearch(SETTINGS, silent)
-    model = torque_arm("actuator_gain", "actuator_delay")
+    model = torque_arm("actuator_gain", "body_mass:fore")
     theta = model.theta.copy()
-    theta[-2] = gain
+    theta[-1] = mass
+    model = model.at(theta)
+    moved = theta.copy()
+    moved[-2] = gain
     monkeypatch.setattr(search, "_margin", lambda *given: -1.0)
-    monkeypatch.setattr("dropo.diagnosis.far_off.search._theta_without", lambda *given: theta)
+    monkeypatch.setattr("dropo.diagnosis.far_off.search._theta_without", lambda *given: moved)
     monkeypatch.setattr(search, "_fit", lambda model, motions, settings: model)
     found = search._without_needless(model, search_sides(model))
-    assert (len(found.numbers) == 1) == likely
+    assert (len(found.numbers) == 2) == stays
 
 
 def test_kinds_that_are_needed_together_are_added_together(monkeypatch):
