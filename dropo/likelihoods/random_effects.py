@@ -142,6 +142,13 @@ def _check_noise(family: Family, epsilon: Epsilon, signals: int) -> NoiseModel:
             f"{type(family).__name__} is no Gaussian, as random effects are. Use"
             " 'truncated_gaussian' or 'full'."
         )
+    unknowns = family.unknowns.names
+    others = [name for name in unknowns if not name.startswith(("mean.", "scale.", "partial."))]
+    if others:
+        raise Incompatible(
+            f"{type(family).__name__} is no Gaussian, as this likelihood of groups is: it has"
+            f" {', '.join(others)} too. Method 'random-effects' finds a 'mixture' by itself."
+        )
     noise = NoiseModel(epsilon, signals).positive("RandomEffects")
     if noise.noise.rows is not None:
         raise Incompatible(

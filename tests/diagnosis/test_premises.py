@@ -33,11 +33,18 @@ COARSE = 0.005  # [s]
 EFFECTS = ("actuator_delay",)
 
 
+@pytest.fixture
+def faked(monkeypatch):
+    """Searches whose ends are faked, under friction as it is."""
+    monkeypatch.setattr(solving, "_with_holding_friction", lambda setup, found: (setup, found))
+
+
 def setup_of_nothing():
     """What a search works on, without anything."""
     return SearchSetup(None, None, None, SimpleNamespace(floor=None), None, None, None, 0, ())
 
 
+@pytest.mark.usefixtures("faked")
 def test_half_a_search_under_other_noise_does_not_count(monkeypatch):
     """What was found before is the answer, and said to be interrupted."""
     last = SimpleNamespace(train=None)
@@ -56,6 +63,7 @@ def test_half_a_search_under_other_noise_does_not_count(monkeypatch):
     assert answers == []
 
 
+@pytest.mark.usefixtures("faked")
 @pytest.mark.parametrize(("rho", "goes_on"), [(-0.1, True), (0.9, False)])
 def test_under_weakly_coloured_noise_a_search_goes_on(monkeypatch, rho, goes_on):
     """With what was found; where noise is strong, that may stand for it, and all is done anew."""
@@ -78,6 +86,7 @@ def test_under_weakly_coloured_noise_a_search_goes_on(monkeypatch, rho, goes_on)
     assert anew.origins == (begun.selection.origins if goes_on else {})
 
 
+@pytest.mark.usefixtures("faked")
 @pytest.mark.parametrize("left", [None, "left"])
 def test_disturbances_come_first(monkeypatch, left):
     """Noise is tested on what is left without them. Control: at once where there are none."""

@@ -317,6 +317,14 @@ def test_a_log_normal_law_is_refused():
         local(problem, family)
 
 
+def test_two_peaks_are_refused():
+    """A mixture is found by the method, not by the likelihood."""
+    problem, _ = linear_problem(np.random.default_rng(5))
+    space = ParameterSpace((Parameter("a", 1.0, 2.0), Parameter("b", 1.0, 2.0)))
+    with pytest.raises(Incompatible, match=r"Mixture is no Gaussian.* has weight, gap.a, gap.b"):
+        local(problem, find("families", "mixture")(space))
+
+
 def test_a_student_t_is_refused():
     """The integral over the draws is Gaussian: the refusal names the way out."""
     problem, _ = linear_problem(np.random.default_rng(5))

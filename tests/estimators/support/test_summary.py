@@ -14,6 +14,7 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.numerics.dependence import independent
 from dropo.core.numerics.tails import student_quantile
 from dropo.core.records.fits.fit import Fit
+from dropo.core.records.fits.fit_parts import GroupEffects
 from dropo.core.records.fits.search_records import SearchRecord
 from dropo.core.records.parameters import Parameter, ParameterSpace
 from dropo.core.services.errors import BadArgument, BadFile
@@ -21,6 +22,7 @@ from dropo.core.services.registry import names
 from dropo.core.services.tables import estimate
 from dropo.estimators.dropo import DROPO
 from dropo.estimators.least_squares import LeastSquares
+from dropo.estimators.random_effects import RandomEffects
 from dropo.estimators.support import standard_errors
 from dropo.estimators.support.summary import at_bounds
 from dropo.estimators.uniform_randomization import UniformRandomization
@@ -173,11 +175,10 @@ def test_what_ends_on_a_bound_is_told():
 
 @cache
 def fitted(family):
-    return (
-        UniformRandomization().fit(slide())
-        if family == "udr"
-        else DROPO(family=family).fit(slide(), rng=3)
-    )
+    if family == "udr":
+        return UniformRandomization().fit(slide())
+    method = RandomEffects if family == "mixture" else DROPO
+    return method(family=family).fit(slide(), rng=3)
 
 
 def same(one, other):
@@ -187,7 +188,7 @@ def same(one, other):
         return one.keys() == other.keys() and all(
             np.array_equal(one[key], other[key]) for key in one
         )
-    if isinstance(one, SearchRecord):
+    if isinstance(one, SearchRecord | GroupEffects):
         return type(one) is type(other) and all(
             same(vars(one)[name], vars(other)[name]) for name in vars(one)
         )
