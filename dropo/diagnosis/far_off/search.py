@@ -305,7 +305,7 @@ class FarOffSearch:
         model = self._with_families(model, sides)
         model = self._without_needless(model, sides)
         model = self._with_steps_that_last(model, sides)
-        if self._is_promised(model, model.with_holding_friction(), sides):
+        if not model.holds and self._is_promised(model, model.with_holding_friction(), sides):
             model = self._with_holding_friction(model, sides)
         if whole.trajectories is not model.problem.trajectories:
             model = model.with_data_of(whole)
