@@ -101,10 +101,13 @@ def solved(
     left : WithoutDisturbances or None
         What is left without disturbances.
     """
-    setup, found = _with_holding_friction(*search_effects(setup))
+    setup, found = search_effects(setup)
     if found.interrupted:
         return setup, found, None
     try:
+        setup, found = _with_holding_friction(setup, found)
+        if found.interrupted:
+            return setup, found, None
         left = disturbed(setup, found)
         if left is not None or setup.noise is not None:
             return setup, found, left

@@ -191,7 +191,9 @@ class _Population(DROPO):
         tests = variance_component_tests(objective, names, found.point, run.rng)
         said = [fit.message, _describe_tests(tests, self.settings)]
         warnings = [*fit.warnings, *_warnings(groups, fit, self.settings)]
-        if self.clustered:
+        if self.clustered and not (fit.sd > 0).any():
+            warnings.append("nothing varies between the groups: there are no clusters")
+        elif self.clustered:
             mixture = Mixture(problem.space)
             clusters = find_clusters(groups, mixture, fit.mean, fit.sd)
             fit = _with_clusters(fit, mixture, clusters)

@@ -12,7 +12,7 @@ from dropo.core.services.errors import Incompatible
 from dropo.estimators.random_effects import RandomEffects
 from dropo.estimators.support.clusters import find_clusters
 from dropo.families.mixture import Mixture
-from dropo.simulators.toy import SlidingBlock, simulate
+from dropo.simulators.toy import LinearSimulator, SlidingBlock, simulate
 
 SPACE = ParameterSpace((Parameter("a", 0.0, 10.0), Parameter("b", -5.0, 5.0)))
 FAMILY = Mixture(SPACE)
@@ -163,6 +163,20 @@ def test_one_batch_says_that_it_is_one():
     problem, _ = batches(2, ((1.5, 0.8), (1.5, 0.8)))
     fit = RandomEffects(family="mixture").fit(problem, rng=0)
     assert any("take family 'truncated_gaussian'" in said for said in fit.warnings)
+
+
+def test_where_nothing_varies_there_are_no_clusters():
+    """A parameter that all groups share exactly."""
+    simulator = LinearSimulator(np.ones((1, 1, 1)))
+    rng = np.random.default_rng(4)
+    actions = np.ones((12, 6, 1))
+    data = simulate(simulator, np.ones((12, 1)), actions, np.zeros(1), noise_variance=0, rng=rng)
+    problem = Problem("same", simulator, data, epsilon=0.01)
+    fit = RandomEffects(family="mixture").fit(problem, rng=0)
+    assert fit.sd[0] < 1e-6
+    assert any(
+        "there are no clusters" in said or "two clusters gain" in said for said in fit.warnings
+    )
 
 
 def test_too_few_groups_are_refused():
