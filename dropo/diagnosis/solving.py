@@ -560,10 +560,11 @@ def that_may_be_nothing(
     -------
     tuple of str and Leader, or None
         Its label, and what is said of it. Of an effect that is so many times a shape, the first
-        size alone counts; one whose errors have few degrees of freedom is left alone.
+        size alone counts; one whose errors have few degrees of freedom is left alone. None where
+        declared parameters are fitted: with a free mass, a size may only grow with it.
     """
     last = searched.last
-    if not last.accepted:
+    if not last.accepted or bool(np.any(last.free < library.declared)):
         return None
     errors, degrees = standard_errors(library, last)
     widths = errors * student_quantile(0.5 + level / 2, degrees)

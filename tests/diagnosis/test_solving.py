@@ -1,5 +1,7 @@
 """What a search refuses at its end."""
 
+from types import SimpleNamespace
+
 from dropo.diagnosis.search.review import reviews_so_far
 from dropo.diagnosis.setup import SearchedEffects
 from dropo.diagnosis.solving import that_may_be_nothing
@@ -24,6 +26,13 @@ def test_an_effect_whose_size_may_be_0_is_refused():
     assert label == "bias:mass"
     assert (leader.effect, leader.why) == ("bias", "its size may be 0")
     assert "not accepted" in leader.sentence
+
+
+def test_beside_declared_parameters_none_is_refused():
+    """A size may only grow with them: the same end, whose first number is a declared one."""
+    library, found = searched({"damping": 0.2}, ("damping", "bias"))
+    declared = SimpleNamespace(declared=int(found.last.free[0]) + 1)
+    assert that_may_be_nothing(declared, found, LEVEL) is None
 
 
 def test_effects_that_are_there_are_not():
