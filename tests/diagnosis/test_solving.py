@@ -30,7 +30,7 @@ def test_an_effect_whose_size_may_be_0_is_refused():
 
 def test_beside_declared_parameters_none_is_refused():
     """A size may only grow with them: the same end, whose first number is a declared one."""
-    library, found = searched({"damping": 0.2}, ("damping", "bias"))
+    _, found = searched({"damping": 0.2}, ("damping", "bias"))
     declared = SimpleNamespace(declared=int(found.last.free[0]) + 1)
     assert that_may_be_nothing(declared, found, LEVEL) is None
 
