@@ -6,7 +6,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dropo.core.contracts.effect import EffectInstance
 from dropo.core.contracts.estimator import Progress
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import Simulator
@@ -25,8 +24,8 @@ from dropo.diagnosis.search.linearization import DIVERGED, Library
 from dropo.diagnosis.search.selection import STOPPING
 from dropo.mjmodel.robot_simulator import RobotSimulator
 
-BODY_MASS = "body_mass"
-"""The effect that a body weighs more or less."""
+OF_ADDED_MASS = (PAYLOAD, "body_mass", "body_com", "body_inertia")
+"""Effects of mass that is added to a body: the mass itself, then where it is."""
 KNOWN = 1e-4
 """Standard deviation of a scale that is known."""
 
@@ -493,8 +492,10 @@ class FarOffSearch:
             self._latest = model, sides.fitted
 
     def _is_mass_for_gain(self, model: FarOffModel, fewer: FarOffModel, left_out: str) -> bool:
-        """Whether a kind of effects that was left out adds mass, and a drive's gain makes up."""
-        if not any(one.effect == left_out and sizes[0] > 0 for one, sizes in _masses(model)):
+        """Whether a kind of effects that was left out is of added mass, and a drive's gain makes
+        up.
+        """
+        if left_out not in OF_ADDED_MASS or not any(sizes[0] > 0 for sizes in _masses(model)):
             return False
         before = {one.label: sizes for one, sizes in model.numbers if one.effect == GAIN}
         after = {one.label: sizes for one, sizes in fewer.numbers if one.effect == GAIN}
@@ -724,9 +725,9 @@ def _gains(model: FarOffModel) -> NDArray[np.bool_]:
     return found
 
 
-def _masses(model: FarOffModel) -> list[tuple[EffectInstance, Array]]:
-    """The effects of a model that add mass, with their sizes, the mass first."""
-    return [(one, sizes) for one, sizes in model.numbers if one.effect in (PAYLOAD, BODY_MASS)]
+def _masses(model: FarOffModel) -> list[Array]:
+    """The sizes of a model's effects that add mass, the mass first."""
+    return [sizes for one, sizes in model.numbers if one.effect in OF_ADDED_MASS[:2]]
 
 
 def _theta_without(model: FarOffModel, end: Fitted, labels: Sequence[str]) -> Array:
