@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from drawing import Numbers
 from numpy.random import Generator
 
 from dropo.core.contracts.problem import Problem
@@ -19,7 +20,6 @@ from dropo.core.services.validation import Array
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 from dropo.studies.first_models.strangers import sum_of_sines
 
-Place = tuple[str, str | None]
 STEP = 2.5e-4
 """Of the integration [s]."""
 CONTROL = 0.005
@@ -71,9 +71,9 @@ class Arm:
     late: float
 
     @property
-    def truth(self) -> dict[Place, float]:
+    def truth(self) -> Numbers:
         """By effect and place the size of what is missing."""
-        found: dict[Place, float] = {}
+        found: Numbers = {}
         parts = (self.rotor, self.damping, self.friction)
         for effect, sizes in zip(LAWS, parts, strict=True):
             for joint, size in enumerate(sizes):
@@ -89,7 +89,7 @@ LAWS = ("joint_armature", "joint_damping", "joint_friction")
 """What every joint lacks."""
 
 
-def stepped(seed: int) -> tuple[Problem, dict[Place, float]]:
+def stepped(seed: int) -> tuple[Problem, Numbers]:
     """Draw an arm, and log its motion.
 
     Parameters

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from dropo.core.contracts.family import Family, means_and_scales
+from dropo.core.contracts.family import Family, clip_to_open_interval, means_and_scales
 from dropo.core.numerics.array_api import is_tensor
 from dropo.core.numerics.standard_distributions import NORMAL
 from dropo.core.records.parameters import Parameter, ParameterSpace
@@ -93,9 +93,8 @@ class Mixture(Family):
         in_second = base[:, 0] >= first
         within = base.copy()
         within[:, 0] = np.where(in_second, (base[:, 0] - first) / second, base[:, 0] / first)
-        inside = np.clip(within, np.finfo(float).eps, 1 - np.finfo(float).eps)
         centre = self.centres(phi)[in_second.astype(int)]
-        return np.asarray(centre + self.scale(phi) * NORMAL.quantile(inside))
+        return np.asarray(centre + self.scale(phi) * NORMAL.quantile(clip_to_open_interval(within)))
 
     def _infeasible(self, values: Array) -> NDArray[np.bool_]:
         rows = super()._infeasible(values).any(axis=1, keepdims=True)

@@ -88,7 +88,7 @@ class Family(ABC):
         if not independent:
             exponent = int(np.ceil(np.log2(draws)))
             points[0] = sobol_points(len(self.space), exponent, sobol_rng)[:draws]
-        return _clip_to_open_interval(points)
+        return clip_to_open_interval(points)
 
     def draw(self, phi: ArrayLike, base: Array) -> Array:
         """Draw parameter vectors of one member, all of them physically possible.
@@ -183,7 +183,7 @@ class Family(ABC):
             If phi has another shape or is not finite.
         """
         points = rng.random((1 + self.redraws, draws, len(self.space)))
-        return self.draw(phi, _clip_to_open_interval(points))
+        return self.draw(phi, clip_to_open_interval(points))
 
     def _infeasible(self, values: Array) -> NDArray[np.bool_]:
         """Which entries (K, d) are drawn again; with correlations, whole rows are."""
@@ -286,8 +286,19 @@ class Family(ABC):
         return self.unknowns.clip(phi)
 
 
-def _clip_to_open_interval(points: Array) -> Array:
-    """Points of [0, 1] without its ends, where quantiles are infinite."""
+def clip_to_open_interval(points: Array) -> Array:
+    """Move points off the ends of [0, 1], where quantiles are infinite.
+
+    Parameters
+    ----------
+    points : array
+        Of [0, 1].
+
+    Returns
+    -------
+    array
+        Inside (0, 1).
+    """
     eps = np.finfo(float).eps
     return np.clip(points, eps, 1 - eps)
 
