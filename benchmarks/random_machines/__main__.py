@@ -1,6 +1,6 @@
 """What a diagnosis finds of machines of random shape that lack none, one or two things.
 
-`python benchmarks/random_machines COUNT FIRST_SEED [--whole] [--equations]` draws machines, which
+`python benchmarks/random_machines COUNT FIRST_SEED [--whole] [--equations | --known]` draws machines, which
 plain MuJoCo steps finer and otherwise than their models, and prints a line each and a table: of the
 regression, or of the search by simulation that follows it. A machine is right if what is missing is
 named with its place, nothing else is, and each size is within 3 standard errors; a payload may be
@@ -12,7 +12,8 @@ below 1000.
 
 With `--equations` the machines are hanging arms that no simulator steps, but equations of their own
 (`equations.py`), with servos; their models lack rotor, damping and friction at every joint, and
-often a payload and a delay. All of it counts as told.
+often a payload and a delay. With `--known` these are arms with servos or motors, whose models lack
+none, one or two things of a longer list. All of it counts as told.
 """
 
 import sys
@@ -21,10 +22,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from arms import NUMBERS_OF_ARMS, Drawn, first_model, known_model, logged
 from design import DRIVES
 from drawing import Numbers, Place, Told, drawn
-from equations import stepped
-from hidden import NUMBERS
 
 from dropo.core.services.tables import Table
 from dropo.diagnosis.diagnose import Diagnose
@@ -53,7 +53,7 @@ HEADER = (
     "RMS z",
     "seconds",
 )
-OPTIONS = ("--whole", "--equations")
+OPTIONS = ("--whole", "--equations", "--known")
 SAME = {"body_mass": "payload"}
 """A body that is heavier carries something: the names that count as others."""
 OF_A_PAYLOAD = ("body_com", "body_inertia")
@@ -61,15 +61,16 @@ OF_A_PAYLOAD = ("body_com", "body_inertia")
 """
 
 
-def main(count: int, first: int, whole: bool, equations: bool) -> None:
+def main(count: int, first: int, whole: bool, equations: bool, known: bool) -> None:
     """Diagnose machines, a line each, and print what is right of those that lack as much."""
+    draw = known_model if known else first_model if equations else None
     answers = []
     for seed in range(first, first + count):
-        answers.append(diagnosed(seed, whole, equations))
+        answers.append(diagnosed(seed, whole, draw))
         print(seed, answers[-1], flush=True)
     sizes = ("nothing", "one thing", "two things")
     groups = [(size, _of_size(answers, number)) for number, size in enumerate(sizes)]
-    groups += [(effect, _with_effect(answers, effect)) for effect in NUMBERS]
+    groups += [(effect, _with_effect(answers, effect)) for effect in NUMBERS_OF_ARMS]
     groups += [(drives, [one for one in answers if one["drives"] == drives]) for drives in DRIVES]
     rows = [(name, *_cells(own)) for name, own in [*groups, ("all", answers)] if own]
     print(Table(f"{count} machines, seeds from {first} on", HEADER, tuple(rows)))
@@ -104,7 +105,7 @@ def _cells(own: Sequence[dict[str, Any]]) -> list[str]:
     ]
 
 
-def diagnosed(seed: int, whole: bool, equations: bool = False) -> dict[str, Any]:
+def diagnosed(seed: int, whole: bool, draw: Drawn | None = None) -> dict[str, Any]:
     """One machine and its diagnosis.
 
     Parameters
@@ -113,17 +114,16 @@ def diagnosed(seed: int, whole: bool, equations: bool = False) -> dict[str, Any]
         Decides everything.
     whole : bool
         Whether the search by simulation follows the regression.
-    equations : bool
-        Whether the machine is stepped by equations of its own.
+    draw : function, optional
+        What draws an arm that is stepped by equations of its own.
 
     Returns
     -------
     dict
         The kind of drives; what is hidden; what `compare` says; verdict; seconds of processor time.
     """
-    if equations:
-        problem, truth = stepped(seed)
-        drives = "position"
+    if draw is not None:
+        problem, drives, truth = logged(seed, draw)
         told: Told = _all_is_told
     else:
         problem, drives, truth, told = drawn(seed)
@@ -183,7 +183,7 @@ def compare(causes: Sequence[Cause], truth: Numbers, told: Told) -> dict[str, An
     z = []
     for key, size in truth.items():
         if key in named:
-            estimate = named[key][NUMBERS[key[0]]]
+            estimate = named[key][NUMBERS_OF_ARMS[key[0]]]
             z.append((estimate.value - size) / estimate.se)
     near = all(abs(value) < WITHIN for value in z)
     stands_for_one = all(alike[key].intersection(missed) for key in false)

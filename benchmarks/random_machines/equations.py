@@ -1,43 +1,22 @@
-"""Arms that no simulator steps: the equations of a hanging chain, by Runge and Kutta.
+"""The equations of a hanging chain, which no simulator steps, by Runge and Kutta.
 
-Their dry friction is a tanh of the velocity, as gears have it, and not MuJoCo's constraint; drives
-and friction act within a step, not from its start. The model has the right masses, lengths and
-drives, and no friction, damping or rotor at any joint.
+Dry friction is a tanh of the velocity, as gears have it, and not MuJoCo's constraint; drives and
+friction act within a step, not from its start.
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import mujoco
-import numpy as np
-from drawing import Numbers
-from numpy.random import Generator
-
-from dropo.core.contracts.problem import Problem
-from dropo.core.records.trajectories import Trajectories
-from dropo.core.services.validation import Array
-from dropo.simulators.mujoco.simulator import MujocoSimulator
-from dropo.studies.first_models.strangers import sum_of_sines
-
+Floats = tuple[float, ...]
 STEP = 2.5e-4
 """Of the integration [s]."""
-CONTROL = 0.005
-"""Control step, and that of the log [s]."""
-PHYSICS = 0.0025
-"""Physics step of the model [s]."""
-SECONDS = 10.0
-RUNS = 4
 GRAVITY = 9.81
-STEEPEST = 4000.0
-"""Largest slope of dry friction over a joint's rotor [1/s]: the integration is stable with it."""
-TICKS = 4096
-"""Of an encoder, in a turn."""
 
 
 @dataclass(frozen=True)
 class Arm:
-    """A chain of n links that hang below each other, as its model has it, and what it has beside.
+    """A chain of n links that hang below each other.
 
     Attributes
     ----------
@@ -45,152 +24,61 @@ class Arm:
         Of each link: its length [m], mass [kg], distance of its centre from its joint [m], and
         moment of inertia about that centre [kg m^2].
     stiffness, slowing, largest : tuple of n floats
-        Of each position servo [N m/rad, N m s/rad, N m].
-    rotor, damping, friction : tuple of n floats
-        Of each joint [kg m^2, N m s/rad, N m], none of which the model has.
-    turning : tuple of n floats
-        Velocity at which dry friction is 76 % of its size [rad/s].
+        Of each drive's controller [N m/rad, N m s/rad], and its largest torque [N m].
+    rotor, damping, spring : tuple of n floats
+        Of each joint [kg m^2, N m s/rad, N m/rad].
+    friction, sticking, share : tuple of n floats
+        Dry friction [N m], what more of it there is before a joint slides [N m], and the fraction
+        of the drive's torque that is friction, too.
+    turning, sliding : tuple of n floats
+        Velocities at which dry friction is 76 % of its size, and 37 % of `sticking` are left
+        [rad/s].
+    gain, offset : tuple of n floats
+        The fraction by which each drive is stronger, and what is added to its command.
     load : float
         At the tip of the last link [kg].
-    late : float
-        Of the commands [s], a multiple of `STEP`.
+    late, lag : float
+        Dead time of the commands, a multiple of `STEP`, and time constant of their lag [s].
+    servos : bool
+        Whether commands are angles, and the controller the drive's own; else they are torques.
     """
 
-    length: tuple[float, ...]
-    mass: tuple[float, ...]
-    centre: tuple[float, ...]
-    inertia: tuple[float, ...]
-    stiffness: tuple[float, ...]
-    slowing: tuple[float, ...]
-    largest: tuple[float, ...]
-    rotor: tuple[float, ...]
-    damping: tuple[float, ...]
-    friction: tuple[float, ...]
-    turning: tuple[float, ...]
-    load: float
-    late: float
+    length: Floats
+    mass: Floats
+    centre: Floats
+    inertia: Floats
+    stiffness: Floats
+    slowing: Floats
+    largest: Floats
+    rotor: Floats
+    damping: Floats
+    spring: Floats
+    friction: Floats
+    sticking: Floats
+    share: Floats
+    turning: Floats
+    sliding: Floats
+    gain: Floats
+    offset: Floats
+    load: float = 0.0
+    late: float = 0.0
+    lag: float = 0.0
+    servos: bool = True
 
     @property
-    def truth(self) -> Numbers:
-        """By effect and place the size of what is missing."""
-        found: Numbers = {}
-        parts = (self.rotor, self.damping, self.friction)
-        for effect, sizes in zip(LAWS, parts, strict=True):
-            for joint, size in enumerate(sizes):
-                found[effect, f"joint{joint}"] = size
-        if self.load:
-            found["payload", f"link{len(self.length) - 1}"] = self.load
-        if self.late:  # of the only drive, or of all
-            found["actuator_delay", "drive0" if len(self.length) == 1 else None] = self.late
-        return found
+    def bodies(self) -> list[tuple[float, float]]:
+        """Mass and centre of each link."""
+        return list(zip(self.mass, self.centre, strict=True))
 
 
-LAWS = ("joint_armature", "joint_damping", "joint_friction")
-"""What every joint lacks."""
-
-
-def stepped(seed: int) -> tuple[Problem, Numbers]:
-    """Draw an arm, and log its motion.
-
-    Parameters
-    ----------
-    seed : int
-        Decides everything.
-
-    Returns
-    -------
-    problem : Problem
-        Of the model, with positions alone.
-    truth : dict
-        By effect and place the size of what the model lacks.
-    """
-    rng = np.random.default_rng([seed, 51])
-    arm = _drawn(rng)
-    runs = [_moved(arm, rng) for _ in range(RUNS)]
-    tick = 2 * np.pi / TICKS
-    read = [np.round(moved / tick) * tick for moved, _ in runs]
-    count = len(read[0]) - 1
-    trajectories = Trajectories(
-        np.concatenate([one[:-1] for one in read]),
-        np.concatenate([commands for _, commands in runs]),
-        np.concatenate([one[1:] for one in read]),
-        np.tile(np.arange(count) == count - 1, RUNS),
-    )
-    simulator = MujocoSimulator(
-        _model(arm), [], observation=["qpos"], frame_skip=round(CONTROL / PHYSICS), threads=1
-    )
-    return Problem(f"equations-{seed}", simulator, trajectories), arm.truth
-
-
-def _drawn(rng: Generator) -> Arm:
-    """An arm of one to three links, whose friction is 5 to 15 % of the largest load, and so on."""
-    n = int(rng.integers(1, 4))
-    length = rng.uniform(0.12, 0.3, n)
-    mass = rng.uniform(0.2, 0.8, n)
-    centre = length * rng.uniform(0.35, 0.65, n)
-    inertia = mass * length**2 / 12 * rng.uniform(0.8, 1.2, n)
-    load = float(rng.uniform(0.08, 0.3)) if rng.random() < 0.5 else 0.0
-    late = STEP * int(rng.integers(12, 60)) if rng.random() < 0.5 else 0.0
-    heavy = np.array([_load(length, mass, centre, load, first) for first in range(n)])
-    swung = np.array([_swung(length, mass, centre, inertia, load, first) for first in range(n)])
-    stiffness = heavy * rng.uniform(6, 15, n)
-    rotor = swung * rng.uniform(0.2, 0.8, n)
-    critical = 2 * np.sqrt(stiffness * (swung + rotor))
-    slowing = critical * rng.uniform(0.1, 0.3, n)
-    damping = critical * rng.uniform(0.03, 0.15, n)
-    friction = heavy * rng.uniform(0.05, 0.15, n)
-    turning = np.maximum(rng.uniform(0.002, 0.01, n), friction / (STEEPEST * rotor))
-    numbers = (length, mass, centre, inertia, stiffness, slowing, 4 * heavy)
-    numbers = (*numbers, rotor, damping, friction, turning)
-    return Arm(*(tuple(one.tolist()) for one in numbers), load, late)
-
-
-def _load(length: Array, mass: Array, centre: Array, load: float, first: int) -> float:
-    """The torque of gravity at a joint where all links from it on are level [N m]."""
-    reach = np.cumsum(np.append(0.0, length[first:]))
-    arms = reach[:-1] + centre[first:]
-    return float(GRAVITY * (mass[first:] @ arms + load * reach[-1]))
-
-
-def _swung(
-    length: Array, mass: Array, centre: Array, inertia: Array, load: float, first: int
-) -> float:
-    """The moment of inertia about a joint where all links from it on are straight [kg m^2]."""
-    reach = np.cumsum(np.append(0.0, length[first:]))
-    arms = reach[:-1] + centre[first:]
-    return float(mass[first:] @ arms**2 + inertia[first:].sum() + load * reach[-1] ** 2)
-
-
-def _moved(arm: Arm, rng: Generator) -> tuple[Array, Array]:
-    """Angles (T + 1, n) of a run from rest, and the commands (T, n) in its steps."""
-    n = len(arm.length)
-    steps = round(SECONDS / CONTROL)
-    time = CONTROL * np.arange(steps)
-    wanted = [sum_of_sines(time, 4, (0.1, 1.2), (0.2, 0.5), rng) for _ in range(n)]
-    commands = 0.5 * np.stack(wanted, axis=1)
-    equations = _Equations(arm)
-    every = round(CONTROL / STEP)
-    late = round(arm.late / STEP)
-    angles = [0.0] * n
-    speeds = [0.0] * n
-    found = [angles]
-    for step in range(steps):
-        for part in range(every):
-            at = (step * every + part - late) // every
-            command = commands[at].tolist() if at >= 0 else [0.0] * n
-            angles, speeds = equations.step(angles, speeds, command)
-        found.append(angles)
-    return np.array(found), commands
-
-
-class _Equations:
+class Equations:
     """M(q) q'' = torques - C(q, q') - G(q), in angles of the links from the vertical."""
 
     def __init__(self, arm: Arm):
         self.arm = arm
         self.n = n = len(arm.length)
         # What a body i moves by where link j turns: its length if i is beyond it, or its centre.
-        bodies = [(m, [*arm.length[:i], c]) for i, (m, c) in enumerate(_bodies(arm))]
+        bodies = [(m, [*arm.length[:i], c]) for i, (m, c) in enumerate(arm.bodies)]
         bodies.append((arm.load, list(arm.length)))
         self.coupled = [[0.0] * n for _ in range(n)]
         self.weight = [0.0] * n
@@ -246,15 +134,21 @@ class _Equations:
         right = [sum(force[a:]) for a in range(n)]
         for a in range(n):
             of_joints[a][a] += arm.rotor[a]
-            drive = arm.stiffness[a] * (command[a] - q[a]) - arm.slowing[a] * v[a]
-            right[a] += max(-arm.largest[a], min(arm.largest[a], drive))
-            right[a] -= arm.damping[a] * v[a] + arm.friction[a] * math.tanh(v[a] / arm.turning[a])
+            drive = self._drive(a, q[a], v[a], command[a] + arm.offset[a])
+            faster = (v[a] / arm.sliding[a]) ** 2
+            dry = arm.friction[a] + arm.sticking[a] * math.exp(-faster) + arm.share[a] * abs(drive)
+            right[a] += drive - arm.damping[a] * v[a] - arm.spring[a] * q[a]
+            right[a] -= dry * math.tanh(v[a] / arm.turning[a])
         return _solved(of_joints, right)
 
-
-def _bodies(arm: Arm) -> list[tuple[float, float]]:
-    """Mass and centre of each link."""
-    return list(zip(arm.mass, arm.centre, strict=True))
+    def _drive(self, joint: int, q: float, v: float, command: float) -> float:
+        """The torque of a drive [N m]."""
+        arm = self.arm
+        torque = command
+        if arm.servos:
+            torque = arm.stiffness[joint] * (command - q) - arm.slowing[joint] * v
+        torque *= 1 + arm.gain[joint]
+        return max(-arm.largest[joint], min(arm.largest[joint], torque))
 
 
 def _sums(values: Sequence[float]) -> list[float]:
@@ -279,30 +173,3 @@ def _solved(matrix: list[list[float]], right: list[float]) -> list[float]:
     for i in reversed(range(n)):
         right[i] = (right[i] - sum(matrix[i][k] * right[k] for k in range(i + 1, n))) / matrix[i][i]
     return right
-
-
-def _model(arm: Arm) -> mujoco.MjSpec:
-    """The model that has the links and the servos alone."""
-    spec = mujoco.MjSpec()
-    spec.option.timestep = PHYSICS
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
-    body = spec.worldbody
-    above = 0.0
-    for i, (m, c) in enumerate(_bodies(arm)):
-        body = body.add_body(name=f"link{i}", pos=[0, 0, -above])
-        above = arm.length[i]
-        body.explicitinertial = True
-        body.mass = m
-        body.ipos = [0, 0, -c]
-        body.inertia = [arm.inertia[i], arm.inertia[i], 0.1 * arm.inertia[i]]
-        body.add_joint(name=f"joint{i}", axis=[0, 1, 0])
-        body.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[0, 0, 0, 0, 0, -above], size=[0.02, 0, 0]
-        )
-        servo = spec.add_actuator(name=f"drive{i}", target=f"joint{i}")
-        servo.trntype = mujoco.mjtTrn.mjTRN_JOINT
-        servo.set_to_position(kp=arm.stiffness[i], kv=arm.slowing[i])
-        servo.forcelimited = True
-        servo.forcerange = [-arm.largest[i], arm.largest[i]]
-    return spec

@@ -82,6 +82,9 @@ class FarOffSettings:
     accuracy : float
         Fraction of every number, with what the model has of it, that is added to its error: forces
         are known on the scale of the model's masses and inertias, which are not known better.
+    decisive : float
+        Fraction of the cost that more exact steps must promise to take away, to be taken before
+        what else motions ask for is known: simulations are several times as slow with them.
     steps : ArithmeticSettings
         Which physics steps are tried beside the model's own.
     motions : LongWindowSettings
@@ -117,6 +120,7 @@ class FarOffSettings:
     scale: float = 0.2
     made_up: float = 0.05
     accuracy: float = 0.02
+    decisive: float = 0.2
     steps: ArithmeticSettings = field(default_factory=ArithmeticSettings)
     motions: LongWindowSettings = field(default_factory=LongWindowSettings)
     rough_fit: OutputErrorSettings = field(default_factory=lambda: ROUGH)
@@ -200,6 +204,8 @@ class FarOffSearch:
         self.log = log or EvaluationLog()
         self._simulators: list[Simulator] = []
         self._simulated: dict[tuple[FarOffModel, Motions], Array] = {}
+        # By what model which effects, their sizes and steps were refused beside.
+        self._refused: dict[FarOffModel, list[FarOffModel]] = {}
         self._latest: tuple[FarOffModel, Motions] | None = None
         # About what the drives' gains are: as the model has them, until all are fitted by one.
         self._gain = 0.0
@@ -296,12 +302,13 @@ class FarOffSearch:
             self.progress(at, f"fitting {len(model.fitted)} numbers to windows of {length} steps")
             model = self._fit(model, sides.few, settings.rough_fit)
             self._latest = model, fitted
-        model = self._with_exact_steps(model, sides)
+        model = self._with_exact_steps(model, sides, self.settings.decisive)
         if self._is_misfit(model, fitted):
             model = self._with_holding_friction(model, sides)
         model = self._with_own_gains(model, sides)
         model = self._with_payload(model, sides)
         model = self._with_families(model, sides)
+        model = self._with_exact_steps(model, sides)
         model = self._without_needless(model, sides)
         model = self._with_steps_that_last(model, sides)
         if not model.holds and self._is_promised(model, model.with_holding_friction(), sides):
@@ -347,8 +354,13 @@ class FarOffSearch:
                 return tried[-1]
         return tried[0]
 
-    def _with_exact_steps(self, model: FarOffModel, sides: _Sides) -> FarOffModel:
-        """More exact physics steps, where motions are clearly better predicted by them."""
+    def _with_exact_steps(
+        self, model: FarOffModel, sides: _Sides, least: float = 0.0
+    ) -> FarOffModel:
+        """More exact physics steps, where motions are clearly better predicted by them.
+
+        least: the fraction of the cost that they must promise to take away.
+        """
         simulator = model.library.simulator
         if model.arithmetic is not None or not isinstance(simulator, RobotSimulator):
             return model
@@ -363,9 +375,11 @@ class FarOffSearch:
             other = self._error(replace(model, arithmetic=arithmetic), sides.few)
             left.append((error.left_after_step(end, other.evaluated(model.theta)), arithmetic))
         # The cheapest of those that promise nearly as much as any.
-        least = min(cost for cost, _ in left)
+        best = min(cost for cost, _ in left)
         as_it_is = error.left_after_step(end, end.residuals)
-        enough = least + (1 - self.settings.steps.nearly) * abs(as_it_is - least)
+        if best > (1 - least) * as_it_is:
+            return model
+        enough = best + (1 - self.settings.steps.nearly) * abs(as_it_is - best)
         chosen = next(arithmetic for cost, arithmetic in left if cost <= enough)
         return self._better(model, replace(model, arithmetic=chosen), sides)
 
@@ -412,15 +426,13 @@ class FarOffSearch:
             return model
         self.progress(0.25, f"fitting {len(apart.fitted)} numbers: {GAIN}")
         self._gain = float(np.mean(model.theta[_gains(model)])) if _gains(model).any() else 0.0
-        apart = self._fit(apart, sides.few, self.settings.rough_fit)
         if payloads:
-            chosen = model if self._is_better(model, apart, sides) else apart
-        else:
-            chosen = apart if self._is_better(apart, model, sides) else model
-        if payloads and chosen is model:
-            chosen = self._better(model, with_families(model, (GAIN,)), sides)
-        self._latest = chosen, sides.fitted
-        return chosen
+            apart = self._fit(apart, sides.few, self.settings.rough_fit)
+            if not self._is_better(model, apart, sides):
+                self._latest = apart, sides.fitted
+                return apart
+            apart = with_families(model, (GAIN,))
+        return self._better(model, apart, sides)
 
     def _with_payload(self, model: FarOffModel, sides: _Sides) -> FarOffModel:
         """A payload where it promises most, if motions are not explained without one."""
@@ -568,14 +580,17 @@ class FarOffSearch:
 
     def _better(self, model: FarOffModel, other: FarOffModel, sides: _Sides) -> FarOffModel:
         """Another model, fitted roughly, where it predicts clearly better; else the model."""
-        if other is model:
+        refused = self._refused.setdefault(model, [])
+        if other is model or any(_is_same(other, one) for one in refused):
             return model
 
         def margin(one: FarOffModel) -> float:
             return self._margin(one, model, sides, self.settings.z)
 
+        begun = other
         other = self._fit_toward(other, sides, margin)
         if margin(other) <= 0:
+            refused.append(begun)
             return model
         self._latest = other, sides.fitted
         return other
@@ -708,6 +723,17 @@ def _first(motions: Motions, count: int) -> Motions:
         return motions
     index = np.arange(max(count, FEWEST))
     return replace(motions, windows=motions.windows.take(index), loadings=motions.loadings[index])
+
+
+def _is_same(model: FarOffModel, other: FarOffModel) -> bool:
+    """Whether two models have the same numbers in the same simulator."""
+    labels = [instance.label for instance, _ in model.numbers]
+    return (
+        labels == [instance.label for instance, _ in other.numbers]
+        and model.problem is other.problem
+        and model.arithmetic == other.arithmetic
+        and np.array_equal(model.theta, other.theta)
+    )
 
 
 def _totals(model: FarOffModel) -> Array:
