@@ -11,6 +11,7 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.services.files.evaluation_log import EvaluationLog
 from dropo.core.services.validation import Array
+from dropo.diagnosis.far_off.added_mass import OF_ADDED_MASS, as_payloads, for_gain, masses
 from dropo.diagnosis.far_off.families import ALONG_TENDONS, with_families
 from dropo.diagnosis.far_off.model import GAIN, PAYLOAD, FarOffModel, reaching
 from dropo.diagnosis.far_off.motions import LongWindowSettings, Motions, motions_of, outer_spread
@@ -24,8 +25,6 @@ from dropo.diagnosis.search.linearization import DIVERGED, Library
 from dropo.diagnosis.search.selection import STOPPING
 from dropo.mjmodel.robot_simulator import RobotSimulator
 
-OF_ADDED_MASS = (PAYLOAD, "body_mass", "body_com", "body_inertia")
-"""Effects of mass that is added to a body: the mass itself, then where it is."""
 KNOWN = 1e-4
 """Standard deviation of a scale that is known."""
 
@@ -265,7 +264,7 @@ class FarOffSearch:
             instance.label: _theta_without(model, end, [instance.label])
             for instance, _ in model.numbers
         }
-        certain = self._certain(model, errors, beside)
+        certain = self._certain(model, errors, beside) | self._carried(model, error, end)
         length = fitted.windows.length
         fits = not self._is_misfit(model, fitted)
         steps = self.simulator_steps
@@ -286,7 +285,7 @@ class FarOffSearch:
     def _search(self, model: FarOffModel, whole: Problem) -> None:
         """Fit numbers to longer and longer motions, and add families where these ask for them."""
         settings = self.settings
-        model = with_families(model, settings.laws)
+        model = as_payloads(with_families(model, settings.laws))
         every = settings.motions.seconds
         short = tuple(seconds for seconds in every if seconds <= settings.first)
         for at, seconds in ((0.1, short), (0.2, every)):
@@ -306,6 +305,7 @@ class FarOffSearch:
         if self._is_misfit(model, fitted):
             model = self._with_holding_friction(model, sides)
         model = self._with_own_gains(model, sides)
+        model = self._with_payload_for_gain(model, sides)
         model = self._with_payload(model, sides)
         model = self._with_families(model, sides)
         model = self._with_exact_steps(model, sides)
@@ -355,11 +355,12 @@ class FarOffSearch:
         return tried[0]
 
     def _with_exact_steps(
-        self, model: FarOffModel, sides: _Sides, least: float = 0.0
+        self, model: FarOffModel, sides: _Sides, least: float | None = None
     ) -> FarOffModel:
         """More exact physics steps, where motions are clearly better predicted by them.
 
-        least: the fraction of the cost that they must promise to take away.
+        least: the fraction of the cost that they must promise to take away; by default what any
+        group of numbers must take away.
         """
         simulator = model.library.simulator
         if model.arithmetic is not None or not isinstance(simulator, RobotSimulator):
@@ -377,7 +378,7 @@ class FarOffSearch:
         # The cheapest of those that promise nearly as much as any.
         best = min(cost for cost, _ in left)
         as_it_is = error.left_after_step(end, end.residuals)
-        if best > (1 - least) * as_it_is:
+        if best > (1 - (self.settings.share if least is None else least)) * as_it_is:
             return model
         enough = best + (1 - self.settings.steps.nearly) * abs(as_it_is - best)
         chosen = next(arithmetic for cost, arithmetic in left if cost <= enough)
@@ -433,6 +434,21 @@ class FarOffSearch:
                 return apart
             apart = with_families(model, (GAIN,))
         return self._better(model, apart, sides)
+
+    def _with_payload_for_gain(self, model: FarOffModel, sides: _Sides) -> FarOffModel:
+        """A payload in the place of a weak drive, where motions are predicted as well with it.
+
+        Of both, it is the more usual.
+        """
+        other = for_gain(model)
+        if other is None:
+            return model
+        self.progress(0.27, "fitting a payload in the place of a gain")
+        other = self._fit(other, sides.few, self.settings.rough_fit)
+        if self._margin(model, other, sides, self.settings.needless) > 0:
+            return model
+        self._latest = other, sides.fitted
+        return other
 
     def _with_payload(self, model: FarOffModel, sides: _Sides) -> FarOffModel:
         """A payload where it promises most, if motions are not explained without one."""
@@ -507,7 +523,7 @@ class FarOffSearch:
         """Whether a kind of effects that was left out is of added mass, and a drive's gain makes
         up.
         """
-        if left_out not in OF_ADDED_MASS or not any(sizes[0] > 0 for sizes in _masses(model)):
+        if left_out not in OF_ADDED_MASS or not any(sizes[0] > 0 for sizes in masses(model)):
             return False
         before = {one.label: sizes for one, sizes in model.numbers if one.effect == GAIN}
         after = {one.label: sizes for one, sizes in fewer.numbers if one.effect == GAIN}
@@ -527,10 +543,11 @@ class FarOffSearch:
     def _error(
         self, model: FarOffModel, motions: Motions, settings: OutputErrorSettings | None = None
     ) -> OutputError:
-        """The output error of a model, with what is known of its drives' gains."""
+        """The output error of a model, with what is known of its drives' gains and payloads."""
         gains = _gains(model)
         width = self.settings.scale * (1 + self._gain)
-        known = Known(np.where(gains, self._gain, 0.0), np.where(gains, 1 / width**2, 0.0))
+        information = np.where(gains, 1 / width**2, _of_places(model))
+        known = Known(np.where(gains, self._gain, 0.0), information)
         chosen = settings or self.settings.fit
         return OutputError(self._library(model), motions, chosen, known, model.exact)
 
@@ -613,7 +630,8 @@ class FarOffSearch:
         relative = np.divide(1.0, _totals(model), out=np.zeros(len(gains)), where=gains)[end.free]
         mean = relative / max(1, gains.sum())
         of_each = np.diag((relative / (own or self.settings.scale)) ** 2)
-        return np.asarray(of_each + np.outer(mean, mean) / scale**2)
+        of_places = np.diag(_of_places(model)[end.free])
+        return np.asarray(of_each + of_places + np.outer(mean, mean) / scale**2)
 
     def _bounded_errors(
         self, model: FarOffModel, error: OutputError, end: Fitted, covariance: Array
@@ -655,6 +673,26 @@ class FarOffSearch:
             first = model.library.indices_of[instance.label][0]
             own = errors if instance.effect == GAIN else beside
             if abs(sizes[0]) > self.settings.certain * own[first]:
+                found.add(instance.label)
+        return frozenset(found)
+
+    def _carried(self, model: FarOffModel, error: OutputError, end: Fitted) -> frozenset[str]:
+        """The labels of payloads whose mass times place is distinguished from nothing.
+
+        Where motions tell neither alone, as beside a rotor.
+        """
+        covariance = error.covariance(end, self._prior(model, end, KNOWN))
+        found = set()
+        for instance, sizes in model.numbers:
+            own = model.library.indices_of[instance.label]
+            if instance.effect != PAYLOAD or len(own) < 4:
+                continue
+            place = np.searchsorted(end.free, own)
+            # Of mass times place (3,) by mass and place (4,).
+            slopes = np.column_stack([sizes[1:], sizes[0] * np.eye(3)])
+            variance = np.diag(slopes @ covariance[np.ix_(place, place)] @ slopes.T)
+            moments = np.abs(sizes[0] * sizes[1:])
+            if np.any(moments > self.settings.certain * np.sqrt(np.maximum(variance, 0.0))):
                 found.add(instance.label)
         return frozenset(found)
 
@@ -751,9 +789,18 @@ def _gains(model: FarOffModel) -> NDArray[np.bool_]:
     return found
 
 
-def _masses(model: FarOffModel) -> list[Array]:
-    """The sizes of a model's effects that add mass, the mass first."""
-    return [sizes for one, sizes in model.numbers if one.effect in OF_ADDED_MASS[:2]]
+def _of_places(model: FarOffModel) -> Array:
+    """(m,) what is known of payloads' places, which are near their bodies' origins, as information.
+
+    The bounds of a place are two standard deviations away.
+    """
+    found = np.zeros(len(model.theta))
+    for instance, _ in model.numbers:
+        if instance.effect == PAYLOAD:
+            places = model.library.indices_of[instance.label][1:]
+            high = np.array([quantity.high for quantity in instance.quantities[1:]])
+            found[places] = (2 / high) ** 2
+    return found
 
 
 def _theta_without(model: FarOffModel, end: Fitted, labels: Sequence[str]) -> Array:
