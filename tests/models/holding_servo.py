@@ -30,21 +30,27 @@ NOISE = 5e-4  # [rad]
 HELD = 50  # control steps of 20 ms
 
 
-def servo(friction=0.0, holding=False, finer=1):
-    """The arm, with dry friction that creeps or holds."""
+def servo(friction=0.0, holding=False, finer=1, *, gain=0.0, load=0.0):
+    """The arm, with dry friction that creeps or holds, another drive, and a mass at its end."""
     spec = mujoco.MjSpec.from_string(XML)
     spec.option.timestep /= finer
     (joint,) = spec.joints
     joint.frictionloss = friction
+    (drive,) = spec.actuators
+    drive.gainprm = (1 + gain) * np.asarray(drive.gainprm)
+    drive.biasprm = (1 + gain) * np.asarray(drive.biasprm)
+    if load:
+        end = spec.body("arm").add_body(pos=[0.2, 0, 0])
+        end.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.01, 0, 0], mass=load)
     if holding:
         joint.solimp_friction[:2] = IMPEDANCE
         joint.solref_friction = (SHORTEST, 1.0)
     return MujocoSimulator(spec, [], frame_skip=5 * finer, threads=1)
 
 
-def recorded(holding, rng, *, runs=4, count=600, finer=4):
+def recorded(holding, rng, *, runs=4, count=600, finer=4, **other):
     """Runs under commands that jump and are held for a second, measured with noise."""
-    made = servo(FRICTION, holding, finer)
+    made = servo(FRICTION, holding, finer, **other)
     actions = np.repeat(rng.uniform(-0.6, 0.6, (runs * count // HELD, 1)), HELD, axis=0)
     rest = np.zeros((len(actions), 2))
     ends = np.arange(len(actions)) % count == count - 1

@@ -96,9 +96,7 @@ def for_gain(model: FarOffModel) -> FarOffModel | None:
     return kept.with_numbers([*numbers, carried])
 
 
-def _at_centre(
-    model: FarOffModel, body: str, mass: float
-) -> tuple[EffectInstance, Array] | None:
+def _at_centre(model: FarOffModel, body: str, mass: float) -> tuple[EffectInstance, Array] | None:
     """A payload [kg] at the centre of a body, where it may be anywhere."""
     simulator = robot_of(model.problem)
     for instance in instances_of(simulator.effect_context, PAYLOAD):
