@@ -4,11 +4,11 @@
 machines, which plain MuJoCo steps finer and otherwise than their models, and prints a line each and
 a table: of the regression, or of the search by simulation that follows it. A machine is right if
 what is missing is named with its place, nothing else is, and each size is within 3 standard errors;
-a payload may be called a heavier body, with its centre and inertia. Listed is what is missed but stands among what a
-named cause cannot be told from; a machine is in the set if it would be right with what is listed in
-place of that cause. Both are counted a second time without what is missed and of which the log says
-less than 100 nats, by simulations with and without it. Rules and thresholds are chosen on seeds
-below 1000.
+a payload may be called a heavier body, with its centre and inertia. Listed is what is missed but
+stands among what a named cause cannot be told from; a machine is in the set if it would be right
+with what is listed in place of that cause. Both are counted a second time without what is missed
+and of which the log says less than 100 nats, by simulations with and without it. Rules and
+thresholds are chosen on seeds below 1000.
 
 With `--equations` the machines are hanging arms that no simulator steps, but equations of their own
 (`equations.py`), with servos; their models lack rotor, damping and friction at every joint, and

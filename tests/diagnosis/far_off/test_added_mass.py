@@ -23,7 +23,7 @@ def model_with(data, **sizes):
     problem = Problem("servo", servo(), data)
     context = problem.simulator.effect_context
     numbers = [
-        (list(instances_of(context, name))[0], np.array([size])) for name, size in sizes.items()
+        (next(iter(instances_of(context, name))), np.array([size])) for name, size in sizes.items()
     ]
     fitted, held_out = sides(problem, 0.25)
     divided = replace(problem, trajectories=fitted, held_out=held_out)
