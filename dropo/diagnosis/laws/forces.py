@@ -14,8 +14,9 @@ from dropo.core.contracts.effect import ActiveEffects, RecordedPast, StepState, 
 from dropo.core.services.validation import Array
 from dropo.diagnosis.findings.remains.unexplained_forces import impulses_of, responses_to
 from dropo.diagnosis.search.linearization import Library, LinearizedWindows
+from dropo.diagnosis.search.noise_learning import learn_noise
 from dropo.diagnosis.search.trials import State
-from dropo.diagnosis.search.whitening import Whitener, learn_noise
+from dropo.diagnosis.search.whitening import Whitener
 from dropo.mjmodel.robot_simulator import RobotSimulator
 from dropo.simulators.mujoco.layers import changes_commands, commands_per_physics_step
 

@@ -12,7 +12,8 @@ from dropo.core.contracts.simulator import Simulator
 from dropo.core.numerics.finite_differences import axial_design
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
-from dropo.diagnosis.search.whitening import Whitener, WindowNoise, learn_noise
+from dropo.diagnosis.search.noise_learning import learn_noise
+from dropo.diagnosis.search.whitening import Whitener, WindowNoise
 from dropo.diagnosis.search.windows import Windows
 from dropo.mjmodel.robot_simulator import RobotSimulator
 

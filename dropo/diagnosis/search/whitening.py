@@ -1,5 +1,4 @@
-"""Windows with a noisy start state, which is integrated out: whitened residuals, their likelihood,
-and the noise by expectation-maximization.
+"""Windows with a noisy start state, which is integrated out: whitened residuals, their likelihood.
 
 A window's residual (n,) is r = B z + e, with e ~ N(0, diag(sigma^2)) in every step and latent
 z ~ N(0, diag(scale^2)): the error of the measured start, and where wanted unexplained forces. With
@@ -16,7 +15,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.optimize import minimize
 from scipy.special import gammaln
 
 from dropo.core.numerics.robust_statistics import student_t_weights
@@ -54,29 +52,8 @@ class WhitenessSettings:
 
 
 SETTINGS = WhitenessSettings()
-
-
-@dataclass(frozen=True)
-class NoiseSearchSettings:
-    """How far a search for the noise may go.
-
-    Attributes
-    ----------
-    largest_autoregression : float
-        Largest autoregressive coefficient from one control step to the next.
-    near : float
-        Logarithm of the ratio to the first guess within which the gradient is followed.
-    to_nothing : float
-        Logarithm of the ratio by which a force may fall, which is to nothing.
-    """
-
-    largest_autoregression: float = 0.97
-    near: float = 4.6
-    to_nothing: float = 20.0
-
-
-SEARCH = NoiseSearchSettings()
-SMALLEST = 1e-300  # stands for a standard deviation of 0, which has no logarithm
+LARGEST_AUTOREGRESSION = 0.97
+"""Largest autoregressive coefficient from one control step to the next."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -390,24 +367,6 @@ class Given:
         excess = np.log1p(self.distances / DEGREES)
         return constant - 0.5 * (DEGREES + n) * excess - self.whitener.log_root
 
-    def moments(self) -> tuple[Array, Array]:
-        """Sum expected squares of residuals (W, n), weighted, over windows and steps.
-
-        Returns
-        -------
-        errors : (p,) array
-            Of the noise e, by signal.
-        latents : (m,) array
-            Of the latent numbers z.
-        """
-        own = self.whitener
-        weights = self.weights[:, None]
-        error_variance = ((own.scaled @ own.inner) * own.scaled).sum(axis=2)
-        latent_variance = np.einsum("wii->wi", own.inner)
-        errors = (weights * self.error**2 + error_variance).sum(axis=0).reshape(-1, len(own.sigma))
-        latents = ((weights * self.z**2) + latent_variance).sum(axis=0) * own.scale**2
-        return (errors * own.sigma**2).sum(axis=0), latents
-
     def neighbours(self) -> tuple[Array, Array]:
         """Expect products of errors that follow each other, weighted, from residuals (W, n).
 
@@ -475,7 +434,7 @@ def coloured_noise(
     follow &= whitener.sigma > settings.clear * floor
     if not follow.any():
         return None
-    largest = SEARCH.largest_autoregression
+    largest = LARGEST_AUTOREGRESSION
     rho = np.clip(2 * products.sum(axis=0) / squares.sum(axis=0), -largest, largest)
     return WindowNoise(whitener.sigma, np.where(follow, rho, 0.0))
 
@@ -507,160 +466,3 @@ def uneven_steps(
     by_window = excess.sum(axis=0)
     error = by_window.std() * np.sqrt(len(by_window))
     return bool(by_window.sum() > settings.z * error)
-
-
-def learn_noise(
-    loadings: Array,
-    residuals: Array,
-    noise: WindowNoise,
-    floor: Array,
-    forces: Array | None = None,
-    *,
-    pieces: int | None = None,
-    known: Array | None = None,
-    rounds: int = 60,
-    tolerance: float = 1e-3,
-) -> tuple[WindowNoise, Array]:
-    """Estimate the noise, and unexplained forces, by over-relaxed expectation-maximization.
-
-    The noise of the start and of all steps is the same. Where the first guess is not white, the
-    likelihood's gradient is followed instead, rho of the signals that have one among the unknowns.
-
-    Parameters
-    ----------
-    loadings : (W, n, s p + k) array
-        The first p columns are those of the start's error, the others up to s p have the same
-        standard deviations; the last k = pieces nv are the forces', nv of each piece of the window
-        in turn.
-    residuals : (W, n) array
-        Residuals of W windows of n / p steps.
-    noise : WindowNoise
-        First guess of the noise of p signals.
-    floor : (p,) array
-        Lower bound of its standard deviations.
-    forces : (nv,) array, optional
-        First guess of the forces' standard deviations; None for no forces.
-    pieces : int, optional
-        Pieces of a window in which forces are drawn anew; each step is one if None.
-    known : (W, n, e) array, optional
-        Loadings of standard normal numbers beside these.
-    rounds : int
-        Iterations, at most.
-    tolerance : float
-        Relative change of all estimates at which iterations end.
-
-    Returns
-    -------
-    noise : WindowNoise
-    forces : (nv,) array
-        Standard deviations of the forces.
-    """
-    p = len(noise.sigma)
-    forces = np.zeros(0) if forces is None else forces
-    pieces = residuals.shape[1] // p if pieces is None else pieces
-    starts = (loadings.shape[2] - pieces * len(forces)) // p
-    known = np.zeros((*residuals.shape, 0)) if known is None else known
-    loadings = np.concatenate([loadings, known], axis=2)
-    learning = _Learning(loadings, residuals, floor, starts, pieces, rounds, tolerance)
-    if noise.coloured or noise.timing:
-        return learning.by_gradient(noise, forces)
-    return learning.white(noise.sigma, forces)
-
-
-@dataclass(frozen=True, eq=False)
-class _Learning:
-    """What `learn_noise` learns from; loadings (W, n, m) with those known at the end."""
-
-    loadings: Array
-    residuals: Array
-    floor: Array
-    starts: int
-    pieces: int
-    rounds: int
-    tolerance: float
-
-    def white(self, sigma: Array, forces: Array) -> tuple[WindowNoise, Array]:
-        """White noise and the forces, from first guesses of their standard deviations."""
-        for _ in range(self.rounds):
-            given = self._whitener(white(sigma), forces).given(self.residuals)
-            of_noise, of_forces = self._mean_squares(given, len(forces))
-            new_sigma = np.maximum(sigma * (np.sqrt(of_noise) / sigma) ** 1.5, self.floor)
-            new_forces = np.sqrt(of_forces)
-            old = np.concatenate([sigma, forces])
-            change = np.abs(np.log(np.concatenate([new_sigma, new_forces]) / old))
-            sigma = new_sigma
-            forces = forces * (new_forces / forces) ** 1.5
-            if np.max(change) < self.tolerance:
-                break
-        return white(sigma), forces
-
-    def by_gradient(self, noise: WindowNoise, forces: Array) -> tuple[WindowNoise, Array]:
-        """The most likely noise and forces, from first guesses."""
-        follow = noise.rho != 0
-        p = len(noise.sigma)
-        count, n = self.residuals.shape
-        ends = (p, p + int(follow.sum()))
-
-        def unpacked(values: Array) -> tuple[WindowNoise, Array]:
-            sigma, coefficients, forces = np.split(values, ends)
-            rho = np.zeros(p)
-            rho[follow] = coefficients
-            return WindowNoise(np.exp(sigma), rho), np.exp(forces)
-
-        def loss(values: Array) -> tuple[float, Array]:
-            """Less the log-likelihood, and its gradient: that expected of errors and forces."""
-            noise, forces = unpacked(values)
-            given = self._whitener(noise, forces).given(self.residuals)
-            of_noise, of_forces = self._mean_squares(given, len(forces))
-            products, squares = (part.sum(axis=0) for part in given.neighbours())
-            left = 1 - noise.rho**2
-            by_rho = products * (1 + noise.rho**2) - noise.rho * squares
-            by_rho = by_rho / (noise.sigma * left) ** 2 + count * (n // p) * noise.rho / left
-            gradient = [
-                count * (n // p + self.starts) * (of_noise / noise.sigma**2 - 1),
-                by_rho[follow],
-                count * self.pieces * (of_forces / forces**2 - 1),
-            ]
-            value = given.log_likelihood.sum()
-            return -float(value), -np.concatenate(gradient)
-
-        log_forces = np.log(np.maximum(forces, SMALLEST))
-        first = np.concatenate([np.log(noise.sigma), noise.rho[follow], log_forces])
-        largest = SEARCH.largest_autoregression
-        near = SEARCH.near
-        lowest = np.maximum(first[:p] - near, np.log(self.floor))
-        bounds = [
-            *zip(lowest, first[:p] + near, strict=True),
-            *(follow.sum() * [(-largest, largest)]),
-            *((guess - SEARCH.to_nothing, guess + near) for guess in log_forces),
-        ]
-        found = minimize(
-            loss,
-            first,
-            jac=True,
-            method="L-BFGS-B",
-            bounds=bounds,
-            options={"maxiter": self.rounds},
-        )
-        return unpacked(found.x)
-
-    def _whitener(self, noise: WindowNoise, forces: Array) -> Whitener:
-        """The covariance under some noise and forces."""
-        of_forces = np.tile(forces, self.pieces)
-        numbers = self.starts * len(noise.sigma) + len(of_forces)
-        ones = np.ones(self.loadings.shape[2] - numbers)
-        scale = np.concatenate([np.tile(noise.sigma, self.starts), of_forces, ones])
-        return Whitener(self.loadings, scale, noise)
-
-    def _mean_squares(self, given: Given, count: int) -> tuple[Array, Array]:
-        """Mean squares that are expected of the noise (p,) and of so many forces."""
-        p = len(self.floor)
-        windows, n = self.residuals.shape
-        errors, latents = given.moments()
-        # The noise: errors of the steps, and of the start; the forces of all pieces.
-        of_starts, of_forces, _ = np.split(
-            latents, [self.starts * p, self.starts * p + self.pieces * count]
-        )
-        noise = errors + of_starts.reshape(self.starts, p).sum(axis=0)
-        forces = of_forces.reshape(self.pieces, count).sum(axis=0)
-        return noise / (windows * (n // p + self.starts)), forces / (windows * self.pieces)

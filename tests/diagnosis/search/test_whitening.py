@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_t
 
+from dropo.diagnosis.search.noise_learning import learn_noise
 from dropo.diagnosis.search.whitening import (
     DEGREES,
     Whitener,
     WindowNoise,
     coloured_noise,
-    learn_noise,
     white,
 )
 

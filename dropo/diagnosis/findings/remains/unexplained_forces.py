@@ -12,7 +12,8 @@ import numpy as np
 from dropo.core.contracts.effect import EffectInstance, Quantity
 from dropo.core.services.validation import Array
 from dropo.diagnosis.search.linearization import Library, LinearizedWindows
-from dropo.diagnosis.search.whitening import Whitener, learn_noise
+from dropo.diagnosis.search.noise_learning import learn_noise
+from dropo.diagnosis.search.whitening import Whitener
 from dropo.mjmodel.joints import degrees_of_freedom, inertias
 
 EFFECT = "unexplained_force"
