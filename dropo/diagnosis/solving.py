@@ -17,6 +17,7 @@ from dropo.diagnosis.findings.limits.scale_of_forces import untold_scales, with_
 from dropo.diagnosis.findings.premises.numerics import refused_delay, short_delay
 from dropo.diagnosis.parts import Leader
 from dropo.diagnosis.search.arithmetic import ArithmeticAlternatives
+from dropo.diagnosis.search.bounds import totals_of
 from dropo.diagnosis.search.confirmation import gain_of, is_confirmed
 from dropo.diagnosis.search.known_causes import begin_with
 from dropo.diagnosis.search.library import robot_of
@@ -37,6 +38,8 @@ FALLING = "joint_stribeck"
 """Dry friction that falls with speed."""
 FEW_EFFECTS = 3
 """So many effects at least are looked for in the model's own steps beside more exact ones."""
+SMALL = 0.005
+"""Fraction of a number of the model below which its change is hardly a cause."""
 FEWEST_DEGREES = 3.0
 """Degrees of freedom below which a standard error says little."""
 
@@ -545,7 +548,8 @@ def that_may_be_nothing(
     """Return the effect whose size is least distinguished from nothing, where it may be nothing.
 
     Such an effect is what a misfit of another kind makes: all that is known of it is that something
-    else is better explained with it.
+    else is better explained with it. What changes a number of the model by less than half a percent
+    must be twice as far from nothing.
 
     Parameters
     ----------
@@ -569,6 +573,10 @@ def that_may_be_nothing(
     errors, degrees = standard_errors(library, last)
     widths = errors * student_quantile(0.5 + level / 2, degrees)
     told = degrees >= FEWEST_DEGREES
+    # Without what the effects add, totals are what the model has.
+    nothing = np.zeros(len(last.theta))
+    small = SMALL * np.abs(totals_of(library, nothing, last.accepted))
+    widths = np.where(np.abs(last.theta) < small, 2.0, 1.0)[last.free] * widths
     half = dict(zip(last.free[told].tolist(), widths[told], strict=True))
     found = []
     for instance in last.accepted:

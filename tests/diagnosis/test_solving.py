@@ -2,6 +2,8 @@
 
 from types import SimpleNamespace
 
+from dropo.diagnosis import solving
+from dropo.diagnosis.findings.causes import standard_errors
 from dropo.diagnosis.search.review import reviews_so_far
 from dropo.diagnosis.setup import SearchedEffects
 from dropo.diagnosis.solving import that_may_be_nothing
@@ -26,6 +28,18 @@ def test_an_effect_whose_size_may_be_0_is_refused():
     assert label == "bias:mass"
     assert (leader.effect, leader.why) == ("bias", "its size may be 0")
     assert "not accepted" in leader.sentence
+
+
+def test_a_small_change_of_the_model_must_be_twice_as_certain(monkeypatch):
+    """A damping 3.5 errors from 0; a control where it is 7, and one where the model has none."""
+    library, found = searched({"damping": 0.2}, ("damping",))
+    error = standard_errors(library, found.last)[0][-1]
+    library, near = searched({"damping": 3.5 * error}, ("damping",))
+    _, far = searched({"damping": 7 * error}, ("damping",))
+    assert that_may_be_nothing(library, near, LEVEL) is None
+    monkeypatch.setattr(solving, "totals_of", lambda _library, theta, _accepted: theta + 1e3)
+    assert that_may_be_nothing(library, near, LEVEL)[0] == "damping:mass"
+    assert that_may_be_nothing(library, far, LEVEL) is None
 
 
 def test_beside_declared_parameters_none_is_refused():
