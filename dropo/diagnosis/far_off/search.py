@@ -682,6 +682,7 @@ class FarOffSearch:
         Where motions tell neither alone, as beside a rotor.
         """
         covariance = error.covariance(end, self._prior(model, end, KNOWN))
+        covariance = np.nan_to_num(covariance)  # a variance that is infinite, times 0
         found = set()
         for instance, sizes in model.numbers:
             own = model.library.indices_of[instance.label]
