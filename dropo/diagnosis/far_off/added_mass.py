@@ -7,7 +7,7 @@ from dropo.core.services.validation import Array
 from dropo.diagnosis.far_off.model import GAIN, PAYLOAD, FarOffModel, reaching
 from dropo.diagnosis.search.bounds import totals_of
 from dropo.diagnosis.search.library import declared, robot_of
-from dropo.mjmodel.bodies import moving_bodies
+from dropo.mjmodel.bodies import mass_centre, moving_bodies, moving_mass
 
 OF_ADDED_MASS = (PAYLOAD, "body_mass", "body_com", "body_inertia")
 """Effects of mass that is added to a body: the mass itself, then where it is."""
@@ -80,8 +80,7 @@ def for_gain(model: FarOffModel) -> FarOffModel | None:
     if len(links) != 1 or masses(model) or len(gains) != 1 or not -1 < gains[0] < 0:
         return None
     factor = 1 / (1 + gains[0])
-    heavier = (factor - 1) * float(robot.body(links[0]).mass[0])
-    carried = _at_centre(model, links[0], heavier)
+    carried = _at_centre(model, links[0], (factor - 1) * moving_mass(robot))
     if carried is None:
         return None
     effects = [instance for instance, _ in model.numbers]
@@ -99,13 +98,14 @@ def for_gain(model: FarOffModel) -> FarOffModel | None:
 def _at_centre(model: FarOffModel, body: str, mass: float) -> tuple[EffectInstance, Array] | None:
     """A payload [kg] at the centre of a body, where it may be anywhere."""
     simulator = robot_of(model.problem)
+    bodies = {name: body for body, name in moving_bodies(simulator.model)}
     for instance in instances_of(simulator.effect_context, PAYLOAD):
         if instance.target != body or instance.variant:
             continue
         if declared(simulator, instance, model.free):
             continue
         high = np.array([one.high for one in instance.quantities[1:]])
-        centre = np.clip(simulator.model.body(body).ipos, -high, high)
+        centre = np.clip(mass_centre(simulator.model, bodies[body]), -high, high)
         sizes = np.array([mass, *centre])
         return reaching(instance, sizes), sizes
     return None
