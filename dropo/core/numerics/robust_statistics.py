@@ -1,6 +1,7 @@
 """Spread and weights that a few very large errors do not move."""
 
 import numpy as np
+from scipy.special import gammaln
 
 from dropo.core.services.validation import Array
 
@@ -53,3 +54,26 @@ def student_t_weights(squares: Array, size: int, degrees: float) -> Array:
         (degrees + size) / (degrees + squares).
     """
     return np.asarray((degrees + size) / (degrees + squares))
+
+
+def student_t_log_density(squares: Array, size: int, degrees: float) -> Array:
+    """Evaluate a multivariate Student t whose scale matrix has the determinant one.
+
+    Parameters
+    ----------
+    squares : array
+        Squared Mahalanobis lengths.
+    size : int
+        Numbers in each vector.
+    degrees : float
+        Degrees of freedom.
+
+    Returns
+    -------
+    array
+        Log densities [nats], of the shape of `squares`.
+    """
+    constant = (
+        gammaln((degrees + size) / 2) - gammaln(degrees / 2) - 0.5 * size * np.log(degrees * np.pi)
+    )
+    return np.asarray(constant - 0.5 * (degrees + size) * np.log1p(squares / degrees))

@@ -13,22 +13,6 @@ OF_ADDED_MASS = (PAYLOAD, "body_mass", "body_com", "body_inertia")
 """Effects of mass that is added to a body: the mass itself, then where it is."""
 
 
-def masses(model: FarOffModel) -> list[Array]:
-    """Return the sizes of a model's effects that add mass.
-
-    Parameters
-    ----------
-    model : FarOffModel
-        Any.
-
-    Returns
-    -------
-    list of (q,) array
-        The mass first [kg].
-    """
-    return [sizes for one, sizes in model.numbers if one.effect in OF_ADDED_MASS[:2]]
-
-
 def as_payloads(model: FarOffModel) -> FarOffModel:
     """Let bodies that are heavier carry a point mass whose place is to be found.
 
@@ -77,7 +61,7 @@ def for_gain(model: FarOffModel) -> FarOffModel | None:
     robot = robot_of(model.problem).model
     links = [name for _, name in moving_bodies(robot)]
     gains = [float(sizes[0]) for one, sizes in model.numbers if one.effect == GAIN]
-    if len(links) != 1 or masses(model) or len(gains) != 1 or not -1 < gains[0] < 0:
+    if len(links) != 1 or _masses(model) or len(gains) != 1 or not -1 < gains[0] < 0:
         return None
     factor = 1 / (1 + gains[0])
     carried = _at_centre(model, links[0], (factor - 1) * moving_mass(robot))
@@ -93,6 +77,36 @@ def for_gain(model: FarOffModel) -> FarOffModel | None:
         numbers.append((reaching(instance, own), own))
     kept = model.without([instance.label for instance, _ in model.numbers])
     return kept.with_numbers([*numbers, carried])
+
+
+def is_mass_for_gain(model: FarOffModel, fewer: FarOffModel, left_out: str, made_up: float) -> bool:
+    """Tell whether a kind of effects that was left out is of added mass, and a drive's gain makes
+    up for it.
+
+    Parameters
+    ----------
+    model, fewer : FarOffModel
+        With and without the effects.
+    left_out : str
+        Their name.
+    made_up : float
+        Change of a gain from which it makes up for a mass.
+
+    Returns
+    -------
+    bool
+    """
+    if left_out not in OF_ADDED_MASS or not any(sizes[0] > 0 for sizes in _masses(model)):
+        return False
+    before = {one.label: sizes for one, sizes in model.numbers if one.effect == GAIN}
+    after = {one.label: sizes for one, sizes in fewer.numbers if one.effect == GAIN}
+    moved = [np.abs(after[label] - sizes).max() for label, sizes in before.items()]
+    return bool(max(moved, default=0.0) > made_up)
+
+
+def _masses(model: FarOffModel) -> list[Array]:
+    """The sizes of a model's effects that add mass, the mass first."""
+    return [sizes for one, sizes in model.numbers if one.effect in OF_ADDED_MASS[:2]]
 
 
 def _at_centre(model: FarOffModel, body: str, mass: float) -> tuple[EffectInstance, Array] | None:

@@ -11,7 +11,7 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.services.files.evaluation_log import EvaluationLog
 from dropo.core.services.validation import Array
-from dropo.diagnosis.far_off.added_mass import OF_ADDED_MASS, as_payloads, for_gain, masses
+from dropo.diagnosis.far_off.added_mass import as_payloads, for_gain, is_mass_for_gain
 from dropo.diagnosis.far_off.families import ALONG_TENDONS, with_families
 from dropo.diagnosis.far_off.model import GAIN, PAYLOAD, FarOffModel, reaching
 from dropo.diagnosis.far_off.motions import LongWindowSettings, Motions, motions_of, outer_spread
@@ -355,12 +355,12 @@ class FarOffSearch:
         return tried[0]
 
     def _with_exact_steps(
-        self, model: FarOffModel, sides: _Sides, least: float | None = None
+        self, model: FarOffModel, sides: _Sides, least: float = 0.0
     ) -> FarOffModel:
         """More exact physics steps, where motions are clearly better predicted by them.
 
-        least: the fraction of the cost that they must promise to take away; by default what any
-        group of numbers must take away.
+        least: the fraction of the cost that they must promise to take away, if that is more than
+        what any group of numbers must take away.
         """
         simulator = model.library.simulator
         if model.arithmetic is not None or not isinstance(simulator, RobotSimulator):
@@ -378,7 +378,7 @@ class FarOffSearch:
         # The cheapest of those that promise nearly as much as any.
         best = min(cost for cost, _ in left)
         as_it_is = error.left_after_step(end, end.residuals)
-        if best > (1 - (self.settings.share if least is None else least)) * as_it_is:
+        if best > (1 - max(least, self.settings.share)) * as_it_is:
             return model
         enough = best + (1 - self.settings.steps.nearly) * abs(as_it_is - best)
         chosen = next(arithmetic for cost, arithmetic in left if cost <= enough)
@@ -510,7 +510,8 @@ class FarOffSearch:
                 if needed and name not in self.settings.usual:
                     moved = self._made_up_for(model, moved, sides)
                     needed = self._margin(model, moved, sides, self.settings.needless) > 0
-                if not needed and not self._is_mass_for_gain(model, moved, name):
+                made_up = self.settings.made_up
+                if not needed and not is_mass_for_gain(model, moved, name, made_up):
                     loss = self._gains(model, moved, sides.held_out)[0].sum()
                     needless.append((loss, name, moved))
             if not needless:
@@ -518,17 +519,6 @@ class FarOffSearch:
             least = min(needless, key=lambda one: one[:2])[2]
             model = self._fit(least, sides.few, self.settings.rough_fit)
             self._latest = model, sides.fitted
-
-    def _is_mass_for_gain(self, model: FarOffModel, fewer: FarOffModel, left_out: str) -> bool:
-        """Whether a kind of effects that was left out is of added mass, and a drive's gain makes
-        up.
-        """
-        if left_out not in OF_ADDED_MASS or not any(sizes[0] > 0 for sizes in masses(model)):
-            return False
-        before = {one.label: sizes for one, sizes in model.numbers if one.effect == GAIN}
-        after = {one.label: sizes for one, sizes in fewer.numbers if one.effect == GAIN}
-        moved = [np.abs(after[label] - sizes).max() for label, sizes in before.items()]
-        return bool(max(moved, default=0.0) > self.settings.made_up)
 
     def _made_up_for(self, model: FarOffModel, fewer: FarOffModel, sides: _Sides) -> FarOffModel:
         """A model with fewer numbers than another, fitted roughly as long as these may make up for

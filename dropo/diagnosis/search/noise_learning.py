@@ -5,15 +5,13 @@ residuals of each signal, and where its errors follow each other, of each step's
 step before. With these an iteration takes p m^2 products a window in place of n m^2.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
-from scipy.special import gammaln
 
-from dropo.core.numerics.robust_statistics import student_t_weights
+from dropo.core.numerics.robust_statistics import student_t_log_density, student_t_weights
 from dropo.core.services.validation import Array
 from dropo.diagnosis.search.whitening import (
     DEGREES,
@@ -260,19 +258,12 @@ class _Sums:
         log_roots = 0.5 * np.linalg.slogdet(precision)[1]
         log_roots += 0.5 * self.steps * np.log(variance).sum()
         return _Expected(
-            _log_likelihood(distances, n) - float(log_roots.sum()),
+            float((student_t_log_density(distances, n, DEGREES) - log_roots).sum()),
             errors * factors,
             latents * scale**2,
             0.5 * together,
             recent + earlier,
         )
-
-
-def _log_likelihood(distances: Array, n: int) -> float:
-    """Of the Student t of n numbers whose scale matrix has the determinant one, summed [nats]."""
-    constant = gammaln((DEGREES + n) / 2) - gammaln(DEGREES / 2) - 0.5 * n * np.log(DEGREES * np.pi)
-    excess = np.log1p(distances / DEGREES)
-    return float((constant - 0.5 * (DEGREES + n) * excess).sum())
 
 
 @dataclass(frozen=True, eq=False)
@@ -312,37 +303,30 @@ class _Learning:
             *(len(follow) * [(-LARGEST_AUTOREGRESSION, LARGEST_AUTOREGRESSION)]),
             *((guess - SEARCH.to_nothing, guess + SEARCH.near) for guess in log_forces),
         ]
-        unpacked = self._unpacking(p)
-
-        def loss(values: Array) -> tuple[float, Array]:
-            return self._loss(*unpacked(values))
-
         found = minimize(
-            loss,
+            self._loss,
             first,
             jac=True,
             method="L-BFGS-B",
             bounds=bounds,
             options={"maxiter": self.rounds},
         )
-        return unpacked(found.x)
+        return self._unpacked(found.x)
 
-    def _unpacking(self, p: int) -> Callable[[Array], tuple[WindowNoise, Array]]:
-        """What noise and forces some numbers stand for."""
+    def _unpacked(self, values: Array) -> tuple[WindowNoise, Array]:
+        """The noise and forces that numbers stand for."""
+        p = len(self.floor)
         follow = self.sums.follow
+        sigma, coefficients, forces = np.split(values, (p, p + len(follow)))
+        rho = np.zeros(p)
+        rho[follow] = coefficients
+        return WindowNoise(np.exp(sigma), rho), np.exp(forces)
 
-        def unpacked(values: Array) -> tuple[WindowNoise, Array]:
-            sigma, coefficients, forces = np.split(values, (p, p + len(follow)))
-            rho = np.zeros(p)
-            rho[follow] = coefficients
-            return WindowNoise(np.exp(sigma), rho), np.exp(forces)
-
-        return unpacked
-
-    def _loss(self, noise: WindowNoise, forces: Array) -> tuple[float, Array]:
+    def _loss(self, values: Array) -> tuple[float, Array]:
         """Less the log-likelihood, and its gradient by the logarithms of noise and forces, and by
         what follows: that expected of errors and forces.
         """
+        noise, forces = self._unpacked(values)
         sums = self.sums
         expected, of_noise, of_forces = self._mean_squares(noise, forces)
         count = len(sums.same.residuals[0])

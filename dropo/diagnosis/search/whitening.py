@@ -15,9 +15,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.special import gammaln
 
-from dropo.core.numerics.robust_statistics import student_t_weights
+from dropo.core.numerics.robust_statistics import student_t_log_density, student_t_weights
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
 
@@ -361,11 +360,7 @@ class Given:
     def log_likelihood(self) -> Array:
         """(..., W) log densities of the multivariate Student t [nats]."""
         n = self.residuals.shape[-1]
-        constant = (
-            gammaln((DEGREES + n) / 2) - gammaln(DEGREES / 2) - 0.5 * n * np.log(DEGREES * np.pi)
-        )
-        excess = np.log1p(self.distances / DEGREES)
-        return constant - 0.5 * (DEGREES + n) * excess - self.whitener.log_root
+        return student_t_log_density(self.distances, n, DEGREES) - self.whitener.log_root
 
     def neighbours(self) -> tuple[Array, Array]:
         """Expect products of errors that follow each other, weighted, from residuals (W, n).
