@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from dropo.core.records.trajectories import Trajectories
-from dropo.mjmodel.dynamics.holding_friction import holds
+from dropo.mjmodel.dynamics.holding_friction import hold_friction, holds
 from dropo.simulators.mujoco.model_xml import format_model
 from tests.models.holding_servo import FRICTION, servo
 
@@ -70,3 +70,46 @@ def test_it_is_written_into_the_mjcf():
     text = format_model(servo(FRICTION).with_holding_friction())
     assert holds(mujoco.MjModel.from_xml_string(text))
     assert not holds(mujoco.MjModel.from_xml_string(format_model(servo(FRICTION))))
+
+
+TWO_LINKS = """
+<mujoco>
+  <option timestep="0.002" integrator="implicitfast"/>
+  <worldbody>
+    <body>
+      <joint name="first" axis="0 1 0" damping="0.05" frictionloss="0.3"/>
+      <geom type="capsule" fromto="0 0 0 0.2 0 0" size="0.02" mass="0.4" contype="0"/>
+      <body pos="0.2 0 0">
+        <joint name="second" axis="0 1 0" damping="0.05" frictionloss="0.1" range="-60 60"/>
+        <geom type="capsule" fromto="0 0 0 0.2 0 0" size="0.02" mass="0.2" contype="0"/>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def pushed(solver=None):
+    """Angles (2000, 2) of two links with friction that holds, pushed to and fro, and the solver."""
+    model = mujoco.MjModel.from_xml_string(TWO_LINKS)
+    hold_friction(model)
+    own = model.opt.solver
+    if solver is not None:
+        model.opt.solver = solver
+    data = mujoco.MjData(model)
+    angles = []
+    for step in range(2000):
+        data.qfrc_applied[:] = np.array([1.5, 0.5]) * np.sin(2 * np.pi * step * 0.002)
+        mujoco.mj_step(model, data)
+        angles.append(data.qpos.copy())
+    return np.array(angles), own
+
+
+def test_gauss_and_seidel_solve_friction_as_newton_does():
+    """Where nothing touches, through stops too; elsewhere the model's own solver stays."""
+    angles, solver = pushed()
+    assert solver == mujoco.mjtSolver.mjSOL_PGS
+    by_newton, _ = pushed(mujoco.mjtSolver.mjSOL_NEWTON)
+    assert np.ptp(angles) > 1.0
+    np.testing.assert_allclose(angles, by_newton, atol=1e-6)
+    assert servo(FRICTION).with_holding_friction().model.opt.solver == mujoco.mjtSolver.mjSOL_NEWTON
