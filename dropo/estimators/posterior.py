@@ -30,7 +30,7 @@ from dropo.estimators.support.posterior_targets import (
     PointLikelihood,
     log_posterior,
 )
-from dropo.estimators.support.summary import at_bounds, with_model_check
+from dropo.estimators.support.summary import at_bounds, of_every_fit, with_model_check
 
 
 @dataclass(frozen=True)
@@ -317,10 +317,10 @@ class Posterior(Estimator):
             objective_evaluations=0,
             status=status,
             message=f"{len(draws.flat())} draws: {end}",
-            warnings=(*problem.warnings, *notes, *at_bounds(family.unknowns, phi)),
+            warnings=(*notes, *at_bounds(family.unknowns, phi)),
             posterior=posterior,
         )
-        return with_model_check(problem, run, fit)
+        return with_model_check(problem, run, replace(fit, **of_every_fit(problem, run, fit)))
 
     def _centre(
         self, problem: Problem, family: Family, target: BatchedLogLikelihood, draws: Draws

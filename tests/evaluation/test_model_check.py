@@ -18,6 +18,7 @@ from dropo.estimators.posterior import Posterior
 from dropo.evaluation.model_check import check_model
 from dropo.mjmodel.fields import FieldParameter
 from dropo.optimizers.samplers.emcee import Emcee
+from dropo.problems.simulated.slide import slide
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 from dropo.simulators.toy import LinearSimulator, simulate
 from dropo.studies.intervals.coverage import FEW, MANY
@@ -81,6 +82,32 @@ def test_every_method_that_fits_is_checked(estimator):
     unchecked = replace(right, model_check=None)
     assert unchecked.trusted is None
     assert "95 % if the model is right" in str(unchecked)
+
+
+@pytest.mark.parametrize(
+    "estimator",
+    [Posterior(sampler=Emcee(steps=80, burn_in=40)), EPOpt()],
+    ids=["posterior", "epopt"],
+)
+def test_intervals_that_runs_contradict_are_told(estimator):
+    """Mass and damping differ from push to push, and a posterior of one value of both takes all
+    rows for independent: its interval of the mass is a thirtieth of what it ought to be.
+    """
+    problem = slide()
+    fit = estimator.fit(problem, rng=0)
+    assert fit.trusted is False
+    assert any("the intervals are too narrow: that of mass" in text for text in fit.warnings)
+    low, high = fit.interval()[0]
+    assert not low <= problem.truth["mass"] <= high
+    assert "(95 % if the model were right)" in str(fit)
+
+
+def test_intervals_of_right_models_are_not_called_narrow():
+    """With independent noise nothing is said: fewer than 3 of 15 data sets."""
+    estimator = EPOpt(particles=100, rounds=4)
+    fits = [fitted("independent", seed, estimator=estimator)[0] for seed in range(SETS)]
+    assert sum(not fit.trusted for fit in fits) < 3
+    assert not any("too narrow" in text for fit in fits for text in fit.warnings)
 
 
 @pytest.mark.parametrize("size", [MANY, FEW])

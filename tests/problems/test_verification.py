@@ -88,6 +88,28 @@ def test_an_error_that_is_null_is_refused(copied, capsys):
     assert "extended.horizons.0.units.rad.rmse: expected a number" in told
 
 
+def test_an_error_of_none_is_no_error_of_the_model(copied):
+    """An announced error of 0 does not hold; nothing is divided by it."""
+    kept = copied / "diagnosis.json"
+    content = json.loads(kept.read_text())
+    content["extended"]["horizons"][0]["units"]["rad"]["rmse"] = 0.0
+    kept.write_text(json.dumps(content))
+    assert TOLERANCE < verify(copied).difference < np.inf
+
+
+@pytest.mark.parametrize("wrong", [None, [1, 2, 3]])
+def test_windows_of_no_length_are_refused(copied, capsys, wrong):
+    """Without a length, and with one that is no number."""
+    kept = copied / "diagnosis.json"
+    content = json.loads(kept.read_text())
+    content["window_steps"] = wrong
+    if wrong is None:
+        del content["window_steps"]
+    kept.write_text(json.dumps(content))
+    assert main(["verify", str(copied)]) == 2
+    assert "window_steps" in capsys.readouterr().err
+
+
 def test_folders_without_a_diagnosis_are_refused(tmp_path, capsys):
     """None, an empty one, one of a regression alone: status 2, a sentence."""
     quick = ["--quick", "--hide", "joint_armature:elbow=0.01", "--quiet"]

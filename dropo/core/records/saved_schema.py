@@ -470,6 +470,7 @@ class SavedDiagnosis(SavedFinding):
     """The content of diagnosis.json of a search by simulation."""
 
     status: Literal["done", "interrupted"] = "done"
+    window_steps: Count
     baseline: SavedModel
     extended: SavedModel
     remaining: SavedRemaining

@@ -1,7 +1,6 @@
 """The problem's data under a distribution that its method did not find by their likelihood."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -15,8 +14,7 @@ from dropo.core.services.registry import find
 from dropo.core.services.validation import Array
 from dropo.estimators.support.epsilon import noise_shape
 from dropo.estimators.support.posterior_targets import PointLikelihood
-from dropo.estimators.support.summary import at_bounds, with_model_check
-from dropo.evaluation.held_out import held_out_errors
+from dropo.estimators.support.summary import at_bounds, of_every_fit, with_model_check
 
 ROUNDING = 1e-12  # of an interval: the standard deviation of draws that are all the same
 
@@ -55,7 +53,7 @@ def evaluate_fit(problem: Problem, run: Run, fit: Fit, draws: int, rng: np.rando
         epsilon=epsilon,
         log_likelihood=float(rows.sum()) if np.isfinite(rows).all() else -np.inf,
         mse=float(residual.mean()),
-        **_of_every_fit(problem, run, fit),
+        **of_every_fit(problem, run, fit),
     )
 
 
@@ -155,13 +153,4 @@ def posterior_fit(
         warnings=(*warnings, *at_bounds(family.unknowns, phi)),
     )
     run.best = fit
-    return with_model_check(problem, run, replace(fit, **_of_every_fit(problem, run, fit)))
-
-
-def _of_every_fit(problem: Problem, run: Run, fit: Fit) -> dict[str, Any]:
-    """The fields that every fit has of its problem."""
-    return {
-        "warnings": (*problem.warnings, *fit.warnings),
-        "truth": dict(problem.truth or {}),
-        "held_out": held_out_errors(problem, run, fit.mean),
-    }
+    return with_model_check(problem, run, replace(fit, **of_every_fit(problem, run, fit)))

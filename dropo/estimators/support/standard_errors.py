@@ -118,6 +118,9 @@ class StandardErrors:
         likelihood has no scores of its own.
     prior : OfPrior or None
         What the priors are to the means, where there are some.
+    by_likelihood : (d,) array or None
+        Of the means by the curvature of the likelihood alone, as if it were right: not by how
+        scores scatter. None where an objective has scores of its own.
     """
 
     mean: Array
@@ -127,6 +130,7 @@ class StandardErrors:
     variance: Array | None = None
     correlation: Array | None = None
     prior: OfPrior | None = None
+    by_likelihood: Array | None = None
 
 
 def standard_errors(
@@ -205,13 +209,24 @@ def _errors_with_step(
     variance[kept] = np.diagonal(covariance)
     degrees[kept] = counted
 
+    by_likelihood = np.full(2 * d, np.nan)
+    inverse = np.linalg.pinv(information[np.ix_(kept, kept)], hermitian=True)
+    by_likelihood[kept] = np.sqrt(np.diagonal(inverse))
+
     # From variances to scales; a spread that may be 0 has no symmetric error.
     with np.errstate(divide="ignore", invalid="ignore"):
         scale = np.where(sd > 0, np.sqrt(variance[d:]) / (2 * sd), np.nan)
     scale[~(scale < sd)] = np.nan
     of_prior = _of_prior(prior, mean, np.arange(d), information, kept)
     of_mean = np.hypot(np.sqrt(variance[:d]), rounding_errors(problem, jacobian, known))
-    return StandardErrors(of_mean, scale, degrees[:d], jacobian, prior=of_prior)
+    return StandardErrors(
+        of_mean,
+        scale,
+        degrees[:d],
+        jacobian,
+        prior=of_prior,
+        by_likelihood=by_likelihood[:d],
+    )
 
 
 def local_standard_errors(

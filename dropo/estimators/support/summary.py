@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy import special
 
 from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.family import Family
@@ -42,6 +43,10 @@ class SummarySettings:
         fit in 16,000.
     near : float
         An estimate is warned of that is nearer to its bound than this fraction of the interval.
+    narrow : float
+        Intervals are warned of that are so many times narrower than the scatter of scores says.
+    level : float
+        The probability that chance alone makes them look so.
     trials : float
         Usual effects are tried on a model that nothing else speaks against, for at most this
         fraction of the steps that the fit took.
@@ -49,6 +54,8 @@ class SummarySettings:
 
     apart: float = 4.0
     near: float = 1e-3
+    narrow: float = 1.5
+    level: float = 0.001
     trials: float = 0.1
 
 
@@ -258,6 +265,29 @@ def _with_errors(
     }
 
 
+def of_every_fit(problem: Problem, run: Run, fit: Fit) -> dict[str, Any]:
+    """Return the fields that every fit has of its problem.
+
+    Parameters
+    ----------
+    problem : Problem
+    run : Run
+        Counts the simulations.
+    fit : Fit
+        So far without them.
+
+    Returns
+    -------
+    dict
+        Warnings, truth and held-out errors.
+    """
+    return {
+        "warnings": (*problem.warnings, *fit.warnings),
+        "truth": dict(problem.truth or {}),
+        "held_out": held_out_errors(problem, run, fit.mean),
+    }
+
+
 def with_model_check(problem: Problem, run: Run, fit: Fit) -> Fit:
     """Check whether the model of a fit can be right, at its means.
 
@@ -287,7 +317,34 @@ def with_model_check(problem: Problem, run: Run, fit: Fit) -> Fit:
     if not np.isfinite(predicted).all():
         return fit
     check = check_model(problem, predicted, errors.jacobian, noise)
+    narrow = _too_narrow(fit, errors)
+    if narrow:
+        check = replace(check, passed=False, sentences=(*check.sentences, *narrow))
     return _checked(problem, run, fit, errors, check)
+
+
+def _too_narrow(
+    fit: Fit, errors: StandardErrors, settings: SummarySettings = SETTINGS
+) -> list[str]:
+    """A sentence where scores scatter more than a likelihood says on which intervals rest.
+
+    Parameters that differ from run to run do that, and noise that has a memory.
+    """
+    if errors.by_likelihood is None:
+        return []
+    claimed = np.fmax(errors.by_likelihood, fit.mean_se)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = errors.mean / claimed
+        by_chance = special.chdtrc(errors.degrees, ratio**2 * errors.degrees)
+    found = (ratio > settings.narrow) & (by_chance < settings.level / len(ratio))
+    if not found.any():
+        return []
+    worst = int(np.where(found, ratio, 0.0).argmax())
+    return [
+        f"the intervals are too narrow: that of {fit.space.names[worst]} would be"
+        f" {ratio[worst]:.2g} times as wide by how runs scatter. Parameters differ from run to run,"
+        " or noise has a memory: use --method dropo or random-effects"
+    ]
 
 
 def _checked(

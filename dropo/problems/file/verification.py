@@ -70,7 +70,7 @@ class Verified:
     def difference(self) -> float:
         """The difference, as a fraction of what was announced; 0 where it is negligible."""
         off = abs(self.verified - self.announced)
-        return 0.0 if off < self.negligible else off / self.announced
+        return 0.0 if off <= self.negligible else off / max(self.announced, self.negligible)
 
 
 @dataclass(frozen=True, repr=False)
@@ -166,7 +166,7 @@ def verify(folder: str | Path, *, trusted: bool = False) -> Verification:
     if not isinstance(simulator, MujocoSimulator):
         raise BadFile(path, "model", "a MuJoCo model", type(simulator).__name__)
     rollout = PlainRollout(simulator, values_of(simulator, content), path.parent, trusted)
-    part = held_out_part(problem, int(content["window_steps"]))
+    part = held_out_part(problem, content["window_steps"])
     errors: list[Verified] = []
     for i, announced in enumerate(content["extended"]["horizons"]):
         windows = held_out_windows(part, announced["steps"], OF_DIAGNOSIS)

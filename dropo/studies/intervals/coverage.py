@@ -6,6 +6,7 @@ of the model.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -74,7 +75,8 @@ class CoverageSettings:
     Attributes
     ----------
     replications : int
-        Data sets of each case.
+        Data sets of each case; of the hopper, whose fits have four means for the block's two, half
+        as many.
     accepted : (float, float)
         Bounds of the coverage of 95 % intervals, outside of which a remark says so.
     """
@@ -100,7 +102,7 @@ def coverage(
     work : Work
         Runs the replications.
     seeds : int or None
-        Data sets of each case; None for the settings' number.
+        Data sets of each case, half as many of the hopper; None for the settings' number.
     cases : tuple of Case
         Robot, noise, method, and the data's size.
     settings : CoverageSettings
@@ -118,26 +120,27 @@ def coverage(
     """
     count = settings.replications if seeds is None else seeds
     require(count >= 2, "seeds", "at least 2", count, "coverage")
+    sets = {"block": count, "hopper": max(2, count // 2)}
     items = []
     for robot, noise, method, shape in cases:
-        items += [[robot, noise, method, list(shape), seed] for seed in range(count)]
-    answers = work.map(replication, items)
+        items += [[robot, noise, method, list(shape), seed] for seed in range(sets[robot])]
+    answers = iter(work.map(replication, items))
     rows = []
     data = {}
     remarks = []
     low, high = settings.accepted
-    for i, (robot, noise, method, (trajectories, steps)) in enumerate(cases):
-        own = answers[i * count : (i + 1) * count]
+    for robot, noise, method, (trajectories, steps) in cases:
+        own = list(islice(answers, sets[robot]))
         inside = np.array([answer["inside"] for answer in own])
         flagged = float(np.mean([answer["flagged"] for answer in own]))
         each = inside.mean(axis=0)
-        shown = _listed(each, count)
+        shown = _listed(each, len(own))
         of_spread = np.array([answer["spread"] for answer in own], dtype=float)
-        spread = _listed(of_spread.mean(axis=0), count)
+        spread = _listed(of_spread.mean(axis=0), len(own))
         extent = f"{trajectories} x {steps}"
         whole = f"{inside.mean():.1%}"
         label = f"{robot}, {noise}"
-        rows.append((label, extent, method, shown, whole, spread, f"{flagged:.0%}"))
+        rows.append((label, len(own), extent, method, shown, whole, spread, f"{flagged:.0%}"))
         name = f"{robot}, {noise}, {method}, {extent}"
         sentences = {sentence for answer in own for sentence in answer["sentences"]}
         data[name] = {
@@ -162,6 +165,7 @@ def coverage(
         )
     header = (
         "data",
+        "sets",
         "trajectories",
         "method",
         "coverage of each mean",
@@ -171,7 +175,7 @@ def coverage(
     )
     return Study(
         "coverage",
-        f"Coverage of 95 % intervals, {count} data sets each",
+        "Coverage of 95 % intervals",
         (Table("Intervals of 95 %", header, tuple(rows)),),
         tuple(remarks),
         data,
