@@ -53,6 +53,14 @@ def test_the_table_of_few_data_sets():
     assert [row[0] for row in study.tables[0].rows] == ["block, independent", "block, dry friction"]
 
 
+def test_a_posterior_of_one_value_is_told_of_runs_that_differ():
+    """Two of each: silent where the model is right, loud where each run has values of its own."""
+    cases = (CASES[-3], CASES[-1])
+    study = coverage(Work(threads=1), 2, cases=cases)
+    assert [found["flagged"] for found in study.data.values()] == [0.0, 1.0]
+    assert not any("not within" in text for text in study.remarks if "spread" in text)
+
+
 def test_friction_stops_and_holds_the_block():
     """A block at rest stays under less than the friction; a sliding one stops; far above it, it
     slides as under a weaker push.
