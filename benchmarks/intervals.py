@@ -32,7 +32,7 @@ LARGEST = {"dof_damping": (2.0, "N m s/rad"), "dof_armature": (0.1, "kg m^2")}
 
 
 def clean(count: int = SETS, first: int = FIRST) -> None:
-    """One line a data set, then RMS z of each mean."""
+    """One line a data set, then RMS z of each mean, and of all."""
     scores = []
     for seed in range(first, first + count):
         data, _ = simulate(500, 2, rng=np.random.default_rng(seed))
@@ -45,6 +45,7 @@ def clean(count: int = SETS, first: int = FIRST) -> None:
     largest = np.abs(scores).max(axis=0)
     for name, z, most in zip(TRUTH, rms, largest, strict=True):
         print(f"{name}: RMS z {z:.2f}, at most {most:.1f}, over {count} data sets")
+    print(f"all means: RMS z {np.sqrt(np.mean(np.square(scores))):.2f}")
 
 
 def late(seed: int = FIRST) -> None:

@@ -16,7 +16,7 @@ from dropo.diagnosis.findings.causes import standard_errors
 from dropo.diagnosis.findings.limits.scale_of_forces import untold_scales, with_known_scale
 from dropo.diagnosis.findings.premises.numerics import refused_delay, short_delay
 from dropo.diagnosis.parts import Leader
-from dropo.diagnosis.search.arithmetic import ArithmeticAlternatives
+from dropo.diagnosis.search.arithmetic import HOLDING, Arithmetic, ArithmeticAlternatives
 from dropo.diagnosis.search.bounds import totals_of
 from dropo.diagnosis.search.confirmation import gain_of, is_confirmed
 from dropo.diagnosis.search.known_causes import begin_with
@@ -38,7 +38,7 @@ FALLING = "joint_stribeck"
 """Dry friction that falls with speed."""
 FEW_EFFECTS = 3
 """So many effects at least are looked for in the model's own steps beside more exact ones."""
-SMALL = 0.005
+SMALL = 0.01
 """Fraction of a number of the model below which its change is hardly a cause."""
 FEWEST_DEGREES = 3.0
 """Degrees of freedom below which a standard error says little."""
@@ -183,15 +183,8 @@ def _with_holding_friction(
     rubbing = rubs(simulator.model) or not kinds.isdisjoint((*FRICTION, FALLING))
     if setup.explained is not None or found.interrupted or not rubbing or holds(simulator.model):
         return setup, found
-    holding = library.simulator.with_holding_friction()  # type: ignore[attr-defined]
-    holding.steps = library.simulator.steps
-    coarse = library.coarse
-    if coarse is not None:
-        coarse = coarse.with_holding_friction()  # type: ignore[attr-defined]
-    library = replace(library, simulator=holding, coarse=coarse)
-    selection = replace(_anew(setup, "friction that holds what rests"), library=library)
-    problem = replace(setup.problem, simulator=simulator.with_holding_friction())
-    other = replace(setup, problem=problem, library=library, selection=selection)
+    other = _stepped(setup, HOLDING)
+    selection = other.selection
     first = other.first()
     theta, free, accepted = _without_falling(library, last)
     noise = first.train.whiten.noise
@@ -207,7 +200,7 @@ def _with_holding_friction(
     if asked_for:
         selection.origins = dict(setup.selection.origins)
         return search_effects(replace(other, begun=(first, begun)))
-    setup.library.simulator.steps = holding.steps
+    setup.library.simulator.steps = other.library.simulator.steps
     return setup, found
 
 
@@ -236,23 +229,27 @@ def _without_falling(
     return theta, np.array(sorted(free), dtype=np.int64), tuple(accepted)
 
 
-def _stepped(setup: SearchSetup, alternatives: ArithmeticAlternatives) -> SearchSetup:
-    """A setup whose simulations are stepped as the alternative that is better."""
-    arithmetic = alternatives.winner
-    assert arithmetic is not None
-    library = setup.library
-    simulator = robot_of(setup.problem)
-    exact = arithmetic.of(library.simulator)  # type: ignore[arg-type]
-    exact.steps = library.simulator.steps
-    library = replace(library, simulator=exact, coarse=library.simulator)
-    selection = replace(_anew(setup, "exact physics steps"), library=library)
-    problem = replace(setup.problem, simulator=arithmetic.of(simulator))
+def _stepped(setup: SearchSetup, arithmetic: Arithmetic) -> SearchSetup:
+    """A setup whose simulations are stepped otherwise, and whose search has not begun."""
+    library = arithmetic.in_place_of(setup.library)
+    library.simulator.steps = setup.library.simulator.steps
+    under = "exact physics steps" if arithmetic.is_exact else "friction that holds what rests"
+    selection = replace(_anew(setup, under), library=library)
+    shown = selection.progress
+
+    def progress(share: float, text: str) -> None:
+        """The steps that are told are counted by the simulator that all began with."""
+        setup.library.simulator.steps = library.simulator.steps
+        shown(share, text)
+
+    selection.progress = progress
+    problem = replace(setup.problem, simulator=arithmetic.of(robot_of(setup.problem)))
     return replace(
         setup,
         problem=problem,
         library=library,
         selection=selection,
-        exact=True,
+        exact=setup.exact or arithmetic.is_exact,
         begun=None,
     )
 
@@ -283,12 +280,16 @@ def search_effects(setup: SearchSetup) -> tuple[SearchSetup, SearchedEffects]:
         else:
             begun = setup.begun[1]
         selection.latest = begun
-        if setup.exact:
-            return setup, SearchedEffects(first, *explain(setup, first, begun))
         alternatives = ArithmeticAlternatives(
-            setup.library, selection.floor, selection.settings, selection.log, first
+            setup.library,
+            selection.floor,
+            selection.settings,
+            selection.log,
+            first,
+            setup.exact,
         )
-        if not setup.steps_chosen and alternatives.is_preferred(begun):
+        chosen = setup.exact or setup.steps_chosen
+        if not chosen and alternatives.is_preferred(begun):
             return _in_either(replace(setup, begun=(first, begun)), alternatives)
         if begun is first or not alternatives(first, begun):
             last, reviews = explain(setup, first, begun, alternatives)
@@ -296,7 +297,8 @@ def search_effects(setup: SearchSetup) -> tuple[SearchSetup, SearchedEffects]:
                 return setup, SearchedEffects(first, last, reviews)
         elif alternatives.winner == setup.tried or alternatives.reached < setup.to_beat:
             return setup, SearchedEffects(first, begun, reviews_so_far(selection, begun))
-        return search_effects(_stepped(setup, alternatives))
+        assert alternatives.winner is not None
+        return search_effects(_stepped(setup, alternatives.winner))
     except KeyboardInterrupt:
         selection.progress(0.9, STOPPING)
         last = selection.latest or first
@@ -312,7 +314,8 @@ def _in_either(
     A machine has no steps, and another simulation may have the model's own. As with effects that do
     nearly the same, what is less usual must be better by a margin, and so must another effect.
     """
-    exact, found = search_effects(_stepped(setup, alternatives))
+    assert alternatives.winner is not None
+    exact, found = search_effects(_stepped(setup, alternatives.winner))
     if found.interrupted or not found.last.accepted:
         return exact, found
     setup.library.simulator.steps = exact.library.simulator.steps
@@ -548,8 +551,8 @@ def that_may_be_nothing(
     """Return the effect whose size is least distinguished from nothing, where it may be nothing.
 
     Such an effect is what a misfit of another kind makes: all that is known of it is that something
-    else is better explained with it. What changes a number of the model by less than half a percent
-    must be twice as far from nothing.
+    else is better explained with it. What changes a number of the model by less than a percent must
+    be twice as far from nothing.
 
     Parameters
     ----------
@@ -564,19 +567,21 @@ def that_may_be_nothing(
     -------
     tuple of str and Leader, or None
         Its label, and what is said of it. Of an effect that is so many times a shape, the first
-        size alone counts; one whose errors have few degrees of freedom is left alone. None where
-        declared parameters are fitted: with a free mass, a size may only grow with it.
+        size alone counts. One whose errors have few degrees of freedom is left alone if it is new
+        to the model; numbers that the model has matter in every motion. None where declared
+        parameters are fitted: with a free mass, a size may only grow with it.
     """
     last = searched.last
     if not last.accepted or bool(np.any(last.free < library.declared)):
         return None
     errors, degrees = standard_errors(library, last)
-    widths = errors * student_quantile(0.5 + level / 2, degrees)
-    told = degrees >= FEWEST_DEGREES
+    counted = np.maximum(degrees, FEWEST_DEGREES)
+    widths = errors * student_quantile(0.5 + level / 2, counted)
     # Without what the effects add, totals are what the model has.
     nothing = np.zeros(len(last.theta))
-    small = SMALL * np.abs(totals_of(library, nothing, last.accepted))
-    widths = np.where(np.abs(last.theta) < small, 2.0, 1.0)[last.free] * widths
+    own = np.abs(totals_of(library, nothing, last.accepted))[last.free]
+    widths = np.where(np.abs(last.theta[last.free]) < SMALL * own, 2.0, 1.0) * widths
+    told = (degrees >= FEWEST_DEGREES) | (own > 0)
     half = dict(zip(last.free[told].tolist(), widths[told], strict=True))
     found = []
     for instance in last.accepted:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from dropo.core.contracts.problem import Problem
+from dropo.diagnosis import solving
 from dropo.diagnosis.diagnose import Diagnose
 from tests.models.holding_servo import FRICTION, recorded, servo
 
@@ -18,4 +19,18 @@ def test_friction_of_either_kind_is_dry_friction(holding):
     assert [cause.effect for cause in found.causes] == ["joint_friction"]
     friction = found.causes[0].estimate["frictionloss"]
     assert abs(friction.value - FRICTION) < 4 * friction.se < 0.2 * FRICTION
+    assert any("holds what rests" in sentence for sentence in found.numerics) == holding
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("holding", [True, False])
+def test_friction_of_another_kind_than_the_models_is_no_cause(monkeypatch, holding):
+    """Of a servo whose model has all of it: nothing is named, also where a search does not ask for
+    it at its end. That the machine's friction is not MuJoCo's is said where it is so.
+    """
+    monkeypatch.setattr(solving, "_with_holding_friction", lambda setup, found: (setup, found))
+    data = recorded(holding, np.random.default_rng(8))
+    effects = ("joint_friction", "joint_stribeck", "joint_damping", "actuator_delay")
+    found = Diagnose(effects=effects).run(Problem("servo", servo(FRICTION), data))
+    assert found.causes == ()
     assert any("holds what rests" in sentence for sentence in found.numerics) == holding

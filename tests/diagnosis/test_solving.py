@@ -2,6 +2,8 @@
 
 from types import SimpleNamespace
 
+import numpy as np
+
 from dropo.diagnosis import solving
 from dropo.diagnosis.findings.causes import standard_errors
 from dropo.diagnosis.search.review import reviews_so_far
@@ -40,6 +42,18 @@ def test_a_small_change_of_the_model_must_be_twice_as_certain(monkeypatch):
     monkeypatch.setattr(solving, "totals_of", lambda _library, theta, _accepted: theta + 1e3)
     assert that_may_be_nothing(library, near, LEVEL)[0] == "damping:mass"
     assert that_may_be_nothing(library, far, LEVEL) is None
+
+
+def test_few_degrees_of_freedom_excuse_what_is_new_alone(monkeypatch):
+    """A bias that may be nothing, whose error has two: refused as a change of what the model has,
+    left alone as what it has not.
+    """
+    library, found = searched({"damping": 0.2}, ("damping", "bias"))
+    errors = standard_errors(library, found.last)[0]
+    monkeypatch.setattr(solving, "standard_errors", lambda *_: (errors, np.full(len(errors), 2.0)))
+    assert that_may_be_nothing(library, found, LEVEL) is None
+    monkeypatch.setattr(solving, "totals_of", lambda _library, theta, _accepted: theta + 1e-9)
+    assert that_may_be_nothing(library, found, LEVEL)[0] == "bias:mass"
 
 
 def test_beside_declared_parameters_none_is_refused():

@@ -4,7 +4,7 @@ A model's own steps act like delays, inertia and damping. A search therefore beg
 ones where these explain the data better; and before an effect is accepted, the model without it is
 fitted with steps that are more exact, too: an alternative that costs no number. It is tried as an
 effect is, with the linearization in the start's noise as it is, and only fitted to the end where
-windows held out confirm that.
+windows held out confirm that. So is dry friction that holds what rests, where a model has any.
 """
 
 from collections.abc import Callable, Sequence
@@ -30,6 +30,7 @@ from dropo.diagnosis.search.linearization import (
 from dropo.diagnosis.search.record import Sides, recorded_sides
 from dropo.diagnosis.search.refit import refit, settle
 from dropo.diagnosis.search.trials import State, penalized_log_likelihood
+from dropo.mjmodel.dynamics.holding_friction import holds, rubs
 from dropo.mjmodel.options import integrator, physics_step
 from dropo.mjmodel.robot_simulator import RobotSimulator
 
@@ -44,10 +45,18 @@ class Arithmetic:
         Physics steps in the place of one.
     integrator : str or None
         Its name in MJCF; the model's own if None.
+    holding : bool
+        Whether dry friction holds what rests, and turns with the velocity (`hold_friction`).
     """
 
     finer: int
     integrator: str | None = None
+    holding: bool = False
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether steps are more exact ones."""
+        return self.finer > 1 or self.integrator is not None
 
     @property
     def cost(self) -> int:
@@ -68,7 +77,35 @@ class Arithmetic:
             Its count of steps begins at 0.
         """
         changed = simulator.with_finer_steps(self.finer)
+        if self.holding:
+            changed = changed.with_holding_friction()
         return changed if self.integrator is None else changed.with_integrator(self.integrator)
+
+    def in_place_of(self, library: Library) -> Library:
+        """Return a library whose simulator is stepped so.
+
+        Parameters
+        ----------
+        library : Library
+            Of a simulator of a robot.
+
+        Returns
+        -------
+        Library
+            Its counts of steps begin at 0. Where steps cost more, derivatives are taken in the
+            library's own.
+        """
+        robot: RobotSimulator = library.simulator  # type: ignore[assignment]
+        coarse: RobotSimulator | None = library.coarse  # type: ignore[assignment]
+        if self.cost > 1:
+            coarse = robot.with_finer_steps(1)
+        elif coarse is not None:
+            coarse = self.of(coarse)
+        return replace(library, simulator=self.of(robot), coarse=coarse)
+
+
+HOLDING = Arithmetic(1, holding=True)
+"""Friction as gearboxes have it, in the model's own steps."""
 
 
 @dataclass(frozen=True)
@@ -148,6 +185,8 @@ class ArithmeticAlternatives:
         Where fits are recorded.
     first : State
         The model as it is, in the steps that it has by now.
+    exact : bool
+        Whether these are more exact ones than the model's own already.
     settings : ArithmeticSettings
         Which alternatives there are.
     winner : Arithmetic or None
@@ -161,6 +200,7 @@ class ArithmeticAlternatives:
     selection: SelectionSettings
     log: EvaluationLog
     first: State
+    exact: bool = False
     settings: ArithmeticSettings = SETTINGS
     winner: Arithmetic | None = field(init=False, default=None)
     reached: float = field(init=False, default=np.inf)
@@ -194,8 +234,10 @@ class ArithmeticAlternatives:
         simulator = self._robot
         if simulator is None:
             return False
+        there = self._alternatives(simulator)
+        if not there:
+            return False
         gained = float((state.test.log_likelihood - self.first.test.log_likelihood).sum())
-        there = alternatives_of(simulator, self.settings)
         needed = self.selection.needed_gain(len(there))
         needed = max(needed, self.selection.minimum_fraction * gained)
         before = penalized_log_likelihood(state)
@@ -268,6 +310,12 @@ class ArithmeticAlternatives:
         self.winner = arithmetic
         return True
 
+    def _alternatives(self, simulator: RobotSimulator) -> tuple[Arithmetic, ...]:
+        """What is tried beside an effect, the cheapest first."""
+        stepped = () if self.exact else alternatives_of(simulator, self.settings)
+        holding = rubs(simulator.model) and not holds(simulator.model)
+        return (HOLDING, *stepped) if holding else stepped
+
     def _most_promising(
         self, simulator: RobotSimulator, state: State, there: Sequence[Arithmetic]
     ) -> tuple[Arithmetic, float]:
@@ -332,8 +380,7 @@ class ArithmeticAlternatives:
 
     def _fitted(self, simulator: RobotSimulator, arithmetic: Arithmetic, state: State) -> State:
         """A model in other steps, fitted as one with an effect more is."""
-        coarse = simulator.with_finer_steps(1)  # with a count of its own
-        library = replace(self.library, simulator=arithmetic.of(simulator), coarse=coarse)
+        library = arithmetic.in_place_of(self.library)
 
         def fit() -> Sides:
             start = linearize(library, state.train.windows, state.theta, state.train.whiten.noise)
@@ -362,7 +409,7 @@ class ArithmeticAlternatives:
         self, simulator: RobotSimulator, arithmetic: Arithmetic, alternative: State, needed: float
     ) -> Arithmetic:
         """A winner's steps, halved as long as windows held out confirm that."""
-        while arithmetic.finer < self.settings.finest:
+        while arithmetic.is_exact and arithmetic.finer < self.settings.finest:
             finer = replace(arithmetic, finer=2 * arithmetic.finer)
             halved = self._tried(simulator, finer, alternative)
             if not is_confirmed(alternative.test, halved.test, needed, self.selection):

@@ -154,7 +154,7 @@ def coverage(
         extent = f"{trajectories} x {steps}"
         whole = f"{inside.mean():.1%}"
         label = f"{robot}, {noise}"
-        rows.append((label, len(own), extent, method, shown, whole, spread, f"{flagged:.0%}"))
+        rows.append((label, f"{len(own)}", extent, method, shown, whole, spread, f"{flagged:.0%}"))
         name = f"{robot}, {noise}, {method}, {extent}"
         sentences = {sentence for answer in own for sentence in answer["sentences"]}
         data[name] = {
