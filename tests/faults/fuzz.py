@@ -413,7 +413,7 @@ def main_fuzz() -> int:
             found = run_case(whole, Path(place) / "case", number, arguments.seed, arguments.kind)
             if found:
                 broken += 1
-                print(found, flush=True)
+                print(found.replace("\n", " "), flush=True)
     print(f"{broken} of {arguments.cases} cases broke a rule.")
     return int(broken > 0)
 
