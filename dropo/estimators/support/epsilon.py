@@ -6,11 +6,11 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaln
 
 from dropo.core.contracts.estimator import Progress, Run
 from dropo.core.contracts.problem import Problem
 from dropo.core.numerics.diverged_simulations import flat
+from dropo.core.numerics.robust_statistics import student_t_log_density
 from dropo.core.records.fits.fit import Fit, Status
 from dropo.core.records.fits.fit_choices import NoiseTrial, NoiseTuning
 from dropo.core.services.validation import Array
@@ -123,9 +123,8 @@ def _student_value(squares: Array, p: int, nu: float, settings: TailSettings) ->
     for _ in range(settings.scalings):
         scale = float(np.mean((nu + p) / (nu + squares / scale) * squares)) / p
         scale = max(scale, least)
-    constant = gammaln((nu + p) / 2) - gammaln(nu / 2) - 0.5 * p * np.log(nu * np.pi * scale)
-    spread = 0.5 * (nu + p) * np.log1p(squares / (nu * scale)).sum()
-    return float(len(squares) * constant - spread)
+    of_rows = student_t_log_density(squares / scale, p, nu) - 0.5 * p * np.log(scale)
+    return float(of_rows.sum())
 
 
 def noise_scale(problem: Problem, run: Run) -> Array:
