@@ -348,6 +348,31 @@ class LocalLogLikelihood(LogLikelihood):
         """
         return self
 
+    def scores_of_noisy_starts(
+        self, phi: Array, simulator: Simulator, segments: Segments, step: Array
+    ) -> Array | None:
+        """Find what noise of the start states takes from the scores of the means.
+
+        Slopes at measured starts carry the starts' noise, and so do the residuals, in expectation
+        with a product that is not 0.
+
+        Parameters
+        ----------
+        phi : (m,) array
+            The unknowns.
+        simulator : Simulator
+        segments : Segments
+            With R compared rows.
+        step : (d,) array
+            Of the parameters, over which slopes are compared.
+
+        Returns
+        -------
+        (R, d) array or None
+            To be added to the rows' scores; None where starts carry no noise, or it is not known.
+        """
+        return None
+
 
 class LocalLikelihood(Likelihood):
     """A likelihood with a local model of the simulator.

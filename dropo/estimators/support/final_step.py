@@ -11,6 +11,7 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.support.maximize import SearchResult
 from dropo.core.contracts.support.mean_prior import MeanPrior, mean_places
 from dropo.core.records.trajectories import Ints
+from dropo.core.services.errors import SimulationFailed
 from dropo.core.services.validation import Array
 
 
@@ -24,10 +25,16 @@ class FinalStepSettings:
         All segments are simulated so many times at most; a step follows each.
     settled : float
         A step below this fraction of the standard errors is the last.
+    slopes : float
+        Slopes of noisy starts are compared over steps of this fraction of the interval.
+    affordable : float
+        That is left out where it takes more than this fraction of the steps taken so far.
     """
 
     simulations: int = 2
     settled: float = 0.1
+    slopes: float = 1e-3
+    affordable: float = 1.0
 
 
 SETTINGS = FinalStepSettings()
@@ -46,7 +53,8 @@ def corrected_by_simulation(
     An emulator is off by a little everywhere, its maximum with it. Shifted so that it is right at
     that maximum, it is off by what its slopes are wrong over a step: a Gauss-Newton step on the
     simulator, with the emulator's slopes. Its scores are those of the residuals alone: the least
-    scale that a search allows would pull the means to where predictions spread less.
+    scale that a search allows would pull the means to where predictions spread less. Where starts
+    carry noise, what it takes from the scores is added (errors in variables).
 
     Parameters
     ----------
@@ -73,6 +81,7 @@ def corrected_by_simulation(
     targets = problem.simulator.targets(problem.segments)
     corrected = objective
     point = found.point
+    of_starts = _of_noisy_starts(problem, run, family, objective, point, settings)
     for _ in range(settings.simulations):
         mean = family.mean(point[: len(family.unknowns)])
         with run.counting(evaluations=1):
@@ -81,7 +90,7 @@ def corrected_by_simulation(
             break
         shifted = corrected.anchored(mean, simulated)
         without_residuals = corrected.anchored(mean, targets)
-        step, errors = _fisher_step(shifted, without_residuals, point, places, prior)
+        step, errors = _fisher_step(shifted, without_residuals, of_starts, point, places, prior)
         moved = point.copy()
         moved[places] += step
         if np.any((moved < objective.unknowns.low) | (moved > objective.unknowns.high)):
@@ -93,9 +102,34 @@ def corrected_by_simulation(
     return corrected, replace(found, point=point, value=float(corrected(point)))
 
 
+def _of_noisy_starts(
+    problem: Problem,
+    run: Run,
+    family: Family,
+    objective: LocalLogLikelihood,
+    phi: Array,
+    settings: FinalStepSettings,
+) -> Array:
+    """(R, d) what the scores of the means lack by noise of the starts, 0 where it is too costly."""
+    space = problem.space
+    none = np.zeros((len(problem.segments.rows[0]), len(space)))
+    step = settings.slopes * (space.high - space.low)
+    evaluations = 2 * len(space) * (2 * len(problem.simulator.signals) + 1)
+    actions = evaluations * int(problem.segments.lengths.sum())
+    if actions * problem.simulator.steps_per_action > settings.affordable * run.steps:
+        return none
+    try:
+        with run.counting(evaluations=evaluations):
+            found = objective.scores_of_noisy_starts(phi, problem.simulator, problem.segments, step)
+    except SimulationFailed:
+        return none
+    return none if found is None else found
+
+
 def _fisher_step(
     objective: LocalLogLikelihood,
     without_residuals: LocalLogLikelihood,
+    of_starts: Array,
     phi: Array,
     places: Ints,
     prior: MeanPrior,
@@ -111,6 +145,7 @@ def _fisher_step(
     of_residuals = scores[:, chosen]
     del scores
     of_residuals -= without_residuals.value_score_information(phi)[1][:, chosen]
+    of_residuals += of_starts[:, free]
     known = prior.information(phi[places])[free]
     of_prior = prior.score(phi[places])[free]
     both = information[np.ix_(chosen, chosen)] + np.diag(known)

@@ -3,6 +3,7 @@
 Noise, blocks of rows, scores and Fisher information.
 """
 
+import copy
 from abc import abstractmethod
 from dataclasses import dataclass, replace
 from typing import Any
@@ -259,6 +260,7 @@ class GaussianRows(LocalLogLikelihood):
         own = trusted(family, centre, width)
         self.unknowns = ParameterSpace((*own, *self.noise.unknowns))
         self.blocks = row_blocks(len(self.targets), 8 * row_floats)
+        self.memory = memory
         self.starts: Axial | None = None
         if self.noise.noise.start:
             self.starts = along_starts(simulator, segments, centre, self.noise, memory=memory)
@@ -464,6 +466,36 @@ class GaussianRows(LocalLogLikelihood):
                 gaussian = (nu + p) * (parts.by_mean + parts.by_spread)
                 information += (gaussian - traces) / (nu + p + 2)
         return float(values.sum()), scores, information
+
+    def scores_of_noisy_starts(
+        self, phi: Array, simulator: Simulator, segments: Segments, step: Array
+    ) -> Array | None:
+        """Return half the slopes of log det Sigma in the parameters (R, d), by those of the starts'
+        slopes J, which the likelihood holds fixed; None where starts carry no noise.
+
+        With noise e on a start, E[(df/dx_j)' Sigma^-1 (y - f)] = -tr(Sigma^-1 J E[e e'] dJ'/dx_j)
+        (Fuller, "Measurement Error Models", 1987, section 3.2).
+        """
+        if self.starts is None:
+            return None
+        mean = self.family.mean(self._own(phi))
+        out = np.empty((len(self.targets), len(mean)))
+        for j, moved in enumerate(np.diag(step)):
+            above = self._log_determinants(phi, simulator, segments, mean + moved)
+            below = self._log_determinants(phi, simulator, segments, mean - moved)
+            out[:, j] = (above - below) / (4 * step[j])
+        return out
+
+    def _log_determinants(
+        self, phi: Array, simulator: Simulator, segments: Segments, value: Array
+    ) -> Array:
+        """(R,) log det Sigma with the starts' slopes at other parameters (d,)."""
+        there = copy.copy(self)
+        there.starts = along_starts(simulator, segments, value, self.noise, memory=self.memory)
+        member = self._member(self._own(phi))
+        epsilon = self.epsilon(phi)
+        of_blocks = [np.linalg.slogdet(there._moments(member, epsilon, b)[1]) for b in self.blocks]
+        return np.concatenate([found.logabsdet for found in of_blocks])
 
     def curvature_factor(self, phi: Array) -> float:
         """Return the mean curvature of the rows' log-density in their location, over its

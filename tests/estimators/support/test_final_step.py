@@ -5,8 +5,11 @@ import pytest
 
 from dropo.estimators import dropo
 from dropo.estimators.dropo import DROPO
+from dropo.likelihoods.support.gaussian_rows import GaussianRows
 from dropo.problems.hopper.data import simulate
 from dropo.problems.hopper.problem import NOISE, hopper_problem
+from dropo.studies.intervals import data_sets
+from dropo.studies.intervals.coverage import MANY
 
 SETS = 3
 
@@ -58,3 +61,32 @@ def test_noise_is_settled_by_one_simulation():
     truth = np.array([problem.truth[name] for name in problem.space.names])
     assert np.all(np.abs(fit.mean - truth) < 4.5 * fit.mean_se)
     assert np.all(fit.mean_se > 1e-3)
+
+
+NOISY = 12
+"""Data sets whose starts carry noise, of twice the study's size."""
+
+
+def damping_of_noisy_starts(monkeypatch):
+    """Mean error of a block's damping in standard errors, over data sets."""
+    monkeypatch.setattr(data_sets, "NOISE", 2 * data_sets.NOISE)
+    z = []
+    for seed in range(NOISY):
+        problem, truth = data_sets.data_set("block", "start", *MANY, np.random.default_rng(seed))
+        fit = DROPO(likelihood="emulated", family="point").fit(problem, rng=seed)
+        z.append((fit.mean - truth)[1] / fit.mean_se[1])
+    return np.mean(z)
+
+
+def test_noise_of_starts_does_not_move_the_means(monkeypatch):
+    """Slopes at noisy velocities have their errors in common with the residuals, which would make
+    the damping larger by 1.5 standard errors. The mean of 12 is within 3 of its own.
+    """
+    assert abs(damping_of_noisy_starts(monkeypatch)) < 3 / np.sqrt(NOISY)
+
+
+def test_without_what_it_takes_from_the_scores_it_does(monkeypatch):
+    """The control."""
+    none = lambda objective, phi, simulator, segments, step: None
+    monkeypatch.setattr(GaussianRows, "scores_of_noisy_starts", none)
+    assert damping_of_noisy_starts(monkeypatch) > 3 / np.sqrt(NOISY)
