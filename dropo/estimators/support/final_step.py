@@ -81,7 +81,7 @@ def corrected_by_simulation(
     targets = problem.simulator.targets(problem.segments)
     corrected = objective
     point = found.point
-    of_starts = _of_noisy_starts(problem, run, family, objective, point, settings)
+    of_starts = _of_noisy_starts(problem, run, objective, point, settings)
     for _ in range(settings.simulations):
         mean = family.mean(point[: len(family.unknowns)])
         with run.counting(evaluations=1):
@@ -105,31 +105,30 @@ def corrected_by_simulation(
 def _of_noisy_starts(
     problem: Problem,
     run: Run,
-    family: Family,
     objective: LocalLogLikelihood,
     phi: Array,
     settings: FinalStepSettings,
-) -> Array:
-    """(R, d) what the scores of the means lack by noise of the starts, 0 where it is too costly."""
+) -> Array | None:
+    """(R, d) what the scores of the means lack by noise of the starts; None where there is none, or
+    it is too costly.
+    """
     space = problem.space
-    none = np.zeros((len(problem.segments.rows[0]), len(space)))
     step = settings.slopes * (space.high - space.low)
     evaluations = 2 * len(space) * (2 * len(problem.simulator.signals) + 1)
     actions = evaluations * int(problem.segments.lengths.sum())
     if actions * problem.simulator.steps_per_action > settings.affordable * run.steps:
-        return none
+        return None
     try:
-        with run.counting(evaluations=evaluations):
-            found = objective.scores_of_noisy_starts(phi, problem.simulator, problem.segments, step)
+        with run.counting():
+            return objective.scores_of_noisy_starts(phi, problem.simulator, problem.segments, step)
     except SimulationFailed:
-        return none
-    return none if found is None else found
+        return None
 
 
 def _fisher_step(
     objective: LocalLogLikelihood,
     without_residuals: LocalLogLikelihood,
-    of_starts: Array,
+    of_starts: Array | None,
     phi: Array,
     places: Ints,
     prior: MeanPrior,
@@ -145,7 +144,8 @@ def _fisher_step(
     of_residuals = scores[:, chosen]
     del scores
     of_residuals -= without_residuals.value_score_information(phi)[1][:, chosen]
-    of_residuals += of_starts[:, free]
+    if of_starts is not None:
+        of_residuals += of_starts[:, free]
     known = prior.information(phi[places])[free]
     of_prior = prior.score(phi[places])[free]
     both = information[np.ix_(chosen, chosen)] + np.diag(known)
