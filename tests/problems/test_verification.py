@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -28,6 +29,15 @@ def diagnosis(tmp_path_factory):
 def copied(diagnosis, tmp_path):
     """A copy of it."""
     return shutil.copytree(diagnosis, tmp_path / "out")
+
+
+@contextmanager
+def diagnosis_of(folder):
+    """The content of its diagnosis.json, which is written again as it was changed."""
+    kept = folder / "diagnosis.json"
+    content = json.loads(kept.read_text())
+    yield content
+    kept.write_text(json.dumps(content))
 
 
 def test_errors_are_those_announced(diagnosis, capsys):
@@ -68,10 +78,8 @@ def test_a_changed_file_runs_when_trusted(copied):
 
 def test_an_error_that_was_not_announced_is_refused(copied, capsys):
     """A unit taken out of diagnosis.json is named."""
-    kept = copied / "diagnosis.json"
-    content = json.loads(kept.read_text())
-    del content["extended"]["horizons"][0]["units"]["rad"]
-    kept.write_text(json.dumps(content))
+    with diagnosis_of(copied) as content:
+        del content["extended"]["horizons"][0]["units"]["rad"]
     assert main(["verify", str(copied)]) == 2
     told = capsys.readouterr().err
     assert "extended.horizons.0.units: expected an error in rad, got rad/s" in told
@@ -79,10 +87,8 @@ def test_an_error_that_was_not_announced_is_refused(copied, capsys):
 
 def test_an_error_that_is_null_is_refused(copied, capsys):
     """Of a horizon whose own error is known."""
-    kept = copied / "diagnosis.json"
-    content = json.loads(kept.read_text())
-    content["extended"]["horizons"][0]["units"]["rad"]["rmse"] = None
-    kept.write_text(json.dumps(content))
+    with diagnosis_of(copied) as content:
+        content["extended"]["horizons"][0]["units"]["rad"]["rmse"] = None
     assert main(["verify", str(copied)]) == 2
     told = capsys.readouterr().err
     assert "extended.horizons.0.units.rad.rmse: expected a number" in told
@@ -90,22 +96,18 @@ def test_an_error_that_is_null_is_refused(copied, capsys):
 
 def test_an_error_of_none_is_no_error_of_the_model(copied):
     """An announced error of 0 does not hold; nothing is divided by it."""
-    kept = copied / "diagnosis.json"
-    content = json.loads(kept.read_text())
-    content["extended"]["horizons"][0]["units"]["rad"]["rmse"] = 0.0
-    kept.write_text(json.dumps(content))
+    with diagnosis_of(copied) as content:
+        content["extended"]["horizons"][0]["units"]["rad"]["rmse"] = 0.0
     assert TOLERANCE < verify(copied).difference < np.inf
 
 
 @pytest.mark.parametrize("wrong", [None, [1, 2, 3]])
 def test_windows_of_no_length_are_refused(copied, capsys, wrong):
     """Without a length, and with one that is no number."""
-    kept = copied / "diagnosis.json"
-    content = json.loads(kept.read_text())
-    content["window_steps"] = wrong
-    if wrong is None:
-        del content["window_steps"]
-    kept.write_text(json.dumps(content))
+    with diagnosis_of(copied) as content:
+        content["window_steps"] = wrong
+        if wrong is None:
+            del content["window_steps"]
     assert main(["verify", str(copied)]) == 2
     assert "window_steps" in capsys.readouterr().err
 

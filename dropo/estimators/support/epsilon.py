@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from dropo.core.contracts.estimator import Progress, Run
 from dropo.core.contracts.problem import Problem
 from dropo.core.numerics.diverged_simulations import flat
-from dropo.core.numerics.robust_statistics import student_t_log_density
+from dropo.core.numerics.robust_statistics import student_t_log_density, student_t_weights
 from dropo.core.records.fits.fit import Fit, Status
 from dropo.core.records.fits.fit_choices import NoiseTrial, NoiseTuning
 from dropo.core.services.validation import Array
@@ -121,7 +121,7 @@ def _student_value(squares: Array, p: int, nu: float, settings: TailSettings) ->
     scale = float(np.mean(squares)) / p
     least = settings.least * scale
     for _ in range(settings.scalings):
-        scale = float(np.mean((nu + p) / (nu + squares / scale) * squares)) / p
+        scale = float(np.mean(student_t_weights(squares / scale, p, nu) * squares)) / p
         scale = max(scale, least)
     of_rows = student_t_log_density(squares / scale, p, nu) - 0.5 * p * np.log(scale)
     return float(of_rows.sum())
