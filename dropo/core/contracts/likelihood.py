@@ -373,6 +373,26 @@ class LocalLogLikelihood(LogLikelihood):
         """
         return None
 
+    def scores_of_states(self, phi: Array, scores: Array, segments: Segments) -> Array:
+        """Sort scores by the measured state whose noise is in them, where one row starts from the
+        end of another: rows that share noise all but cancel, states are as independent as noise.
+
+        Parameters
+        ----------
+        phi : (m,) array
+            The unknowns.
+        scores : (R, m) array
+            Of `value_score_information`.
+        segments : Segments
+            With R compared rows.
+
+        Returns
+        -------
+        (R, m) array
+            With the same sum; the scores themselves where starts carry no noise.
+        """
+        return scores
+
 
 class LocalLikelihood(Likelihood):
     """A likelihood with a local model of the simulator.

@@ -264,6 +264,8 @@ def local_standard_errors(
     of_groups = len(units.label) != len(scores)
     if of_groups:  # their scores are independent as they are
         units = independent(len(scores))
+    elif units.serial:
+        scores = objective.scores_of_states(phi, scores, problem.segments)
 
     free = np.ones(len(phi), dtype=bool)
     free[:own] = _with_errors(family, phi[:own], settings.edge)

@@ -24,6 +24,7 @@ from dropo.core.records.trajectories import Ints, Segments
 from dropo.core.services.errors import BadArgument
 from dropo.core.services.validation import Array
 from dropo.likelihoods.support.axial import Axial, along_starts
+from dropo.likelihoods.support.measured_states import start_noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -355,11 +356,7 @@ class GaussianRows(LocalLogLikelihood):
         residual = (self.targets[rows] - mean)[:, :, None]
         columns = np.linalg.solve(np.linalg.cholesky(sigma), np.concatenate([values, residual], 2))
         weighed: Array = columns[:, :, :-1]
-        nu = self.noise.noise.degrees
-        if nu is None:
-            return weighed
-        p = residual.shape[1]
-        weight = (nu + p) / (nu + np.sum(columns[:, :, -1] ** 2, axis=1))
+        weight = self._weight(np.sum(columns[:, :, -1] ** 2, axis=1))
         return weighed * np.sqrt(weight)[:, None, None]
 
     def _moments(self, member: Any, epsilon: Any, rows: slice) -> tuple[Any, Any]:
@@ -458,8 +455,7 @@ class GaussianRows(LocalLogLikelihood):
                 scores[rows] = parts.location + 0.5 * (parts.quadratic - parts.trace)
                 information += parts.by_mean + parts.by_spread
             else:
-                # The weight of a row falls with its distance.
-                weight = ((nu + p) / (nu + density.distance))[:, None]
+                weight = self._weight(density.distance)[:, None]
                 pulled = 0.5 * (weight * parts.quadratic - parts.trace)
                 scores[rows] = weight * parts.location + pulled
                 traces = 0.5 * parts.trace.T @ parts.trace
@@ -497,6 +493,43 @@ class GaussianRows(LocalLogLikelihood):
         of_blocks = [np.linalg.slogdet(there._moments(member, epsilon, b)[1]) for b in self.blocks]
         return np.concatenate([found.logabsdet for found in of_blocks])
 
+    def scores_of_states(self, phi: Array, scores: Array, segments: Segments) -> Array:
+        """Return scores (R, m) in which each measured state's noise is in the row that ends there,
+        instead of in the next one, too.
+        """
+        if self.starts is None:
+            return scores
+        epsilon = self.epsilon(phi)
+        own = self._own(phi)
+        mean = self.mean(phi)
+        found = start_noise(self.targets - mean, self.starts.slope, epsilon, segments)
+        if found is None:
+            return scores
+        member = self._member(own)
+        slopes = self._member_slopes(own)
+        of_starts = np.empty_like(scores)
+        for rows in self.blocks:
+            density = self._density(*self._moments(member, epsilon, rows), rows)
+            moved = -self.starts.slope[rows] @ found.noise[rows][:, :, None]
+            z = (density.whiten @ moved)[:, :, 0]
+            noise = self._noise_columns(epsilon, rows).whitened(density.whiten)
+            location = self._parts(member, slopes, rows, density.whiten, z, noise).location
+            of_starts[rows] = self._weight(density.distance)[:, None] * location
+        of_starts[found.before < 0] = 0.0
+        out = scores - of_starts
+        goes_on = found.before >= 0
+        np.add.at(out, found.before[goes_on], of_starts[goes_on])
+        return out
+
+    def _weight(self, distance: Array) -> Array:
+        """Weights (r,) of rows, which fall with their distances under a Student t."""
+        nu = self.noise.noise.degrees
+        if nu is None:
+            return np.ones(len(distance))
+        p = self.targets.shape[1]
+        weight: Array = (nu + p) / (nu + distance)
+        return weight
+
     def curvature_factor(self, phi: Array) -> float:
         """Return the mean curvature of the rows' log-density in their location, over its
         expectation: tails are seldom those of a Student t to the letter.
@@ -508,7 +541,7 @@ class GaussianRows(LocalLogLikelihood):
         mean, sigma = self.moments(phi)
         residual = (self.targets - mean)[:, :, None]
         distance = (residual.swapaxes(1, 2) @ np.linalg.solve(sigma, residual))[:, 0, 0]
-        weight = (nu + p) / (nu + distance)
+        weight = self._weight(distance)
         bent = weight * (1 - 2 / p * distance / (nu + distance))
         return float(np.mean(bent)) / ((nu + p) / (nu + p + 2))
 

@@ -107,10 +107,10 @@ def test_it_is_the_exact_maximum_likelihood_where_the_motion_is_linear():
 
 
 def test_errors_shrink():
-    """Standard errors are less than a quarter of those from measured starts: the whole past is in a
+    """Standard errors are less than half of those from measured starts: the whole past is in a
     state.
     """
-    assert (fits("filtered").mean_se < 0.25 * fits("measured").mean_se).all()
+    assert (fits("filtered").mean_se < 0.5 * fits("measured").mean_se).all()
     turns = fits("filtered").start_filter.moves
     assert turns[-1] < 0.05
     assert fits("filtered").start_filter.resets == 0
