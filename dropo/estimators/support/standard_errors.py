@@ -289,7 +289,11 @@ def local_standard_errors(
     covariance, degrees[free] = sandwich(scores, own_information, units, of_free, by_unit)
     if objective.errors_from_model:
         known = own_information if of_free is None else own_information + np.diag(of_free)
-        covariance = _at_least(covariance, np.linalg.pinv(known, hermitian=True))
+        least = np.linalg.pinv(known, hermitian=True)
+        of_model = np.diagonal(least) > np.diagonal(covariance)
+        # Those of the model are no estimates of which few units could be wrong.
+        degrees[free] = np.where(of_model, len(problem.trajectories), degrees[free])
+        covariance = _at_least(covariance, least)
     if not (of_groups or units.serial):
         least = _with_shared_draws(problem, family, objective, phi, free, scores, jacobian, units)
         covariance = _at_least(covariance, least)
