@@ -439,8 +439,9 @@ class Diagnose:
             setup = replace(setup, sought=True)
         worse = self._worse(setup, of_each, searched)
         far_off = setup.explained is not None
-        if worse and not far_off and len(setup.worse) < self.settings.horizons.refused:
-            further = without_worse(setup, searched, *next(iter(worse.items())))
+        most = self.settings.horizons.refused
+        if worse and not far_off and len(setup.worse) < most:
+            further = without_worse(setup, searched, *next(iter(worse.items())), most)
             return self._result(task, *further, progress)
         scales: tuple[UntoldScale, ...] = ()
         if not far_off and not searched.interrupted:
@@ -581,10 +582,9 @@ class Diagnose:
             further = without_short_delays(setup, searched)
             if further is not None:
                 return further
-        if len(setup.worse) < self.settings.horizons.refused:
-            unsure = that_may_be_nothing(setup.library, searched, self.settings.nothing)
-            if unsure is not None:
-                return without_worse(setup, searched, *unsure)
+        unsure = that_may_be_nothing(setup.library, searched, self.settings.nothing)
+        if unsure is not None:
+            return without_worse(setup, searched, *unsure, self.settings.horizons.refused)
         further = with_known_scales(setup, searched)
         if further is not None:
             return further

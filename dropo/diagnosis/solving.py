@@ -40,6 +40,8 @@ FEW_EFFECTS = 3
 """So many effects at least are looked for in the model's own steps beside more exact ones."""
 SMALL = 0.01
 """Fraction of a number of the model below which its change is hardly a cause."""
+MAY_BE_NOTHING = "its size may be 0"
+"""Why an effect is no cause that data held out ask for."""
 FEWEST_DEGREES = 3.0
 """Degrees of freedom below which a standard error says little."""
 
@@ -498,9 +500,12 @@ def with_known_scales(
 
 
 def without_worse(
-    setup: SearchSetup, searched: SearchedEffects, label: str, leader: Leader
+    setup: SearchSetup, searched: SearchedEffects, label: str, leader: Leader, most: int
 ) -> tuple[SearchSetup, SearchedEffects]:
     """Go on without an effect that is no cause, though windows ask for it.
+
+    Where its size may be nothing, and one of which the same was found explained no less, both stand
+    for what no effect explains: others that may be in its place are not looked for.
 
     Parameters
     ----------
@@ -512,15 +517,23 @@ def without_worse(
         Of the effect.
     leader : Leader
         What is said of it.
+    most : int
+        After so many such effects no others are looked for either.
 
     Returns
     -------
     tuple of SearchSetup and SearchedEffects
     """
-    worse = {**setup.worse, label: leader}
+    earlier = setup.worse
+    worse = {**earlier, label: leader}
     setup = replace(setup, selection=_without(setup.selection, [label]), worse=worse)
     without = searched.reviews[label].without
-    further, reviews = explain(setup, searched.first, without)
+    before = [one.gain for one in earlier.values() if one.why == MAY_BE_NOTHING]
+    alike = leader.why == MAY_BE_NOTHING and leader.gain <= max(before, default=-np.inf)
+    if alike or len(earlier) >= most:
+        further, reviews = review(setup.selection, without)
+    else:
+        further, reviews = explain(setup, searched.first, without)
     return setup, replace(searched, last=further, reviews=reviews)
 
 
@@ -596,7 +609,7 @@ def that_may_be_nothing(
     most, instance = min(found, key=lambda one: one[0])
     if most >= 1:
         return None
-    return instance.label, _refused(searched, instance, "its size may be 0")
+    return instance.label, _refused(searched, instance, MAY_BE_NOTHING)
 
 
 def _refused(

@@ -177,8 +177,11 @@ def _trials(simulator: RobotSimulator, settings: LikelyCauseSettings) -> list[_T
     """Each effect at a size; at several, where it does not act in proportion to it."""
     found: list[_Trial] = []
     for name in settings.effects:
-        for instance in instances_of(simulator.effect_context, name):
-            if len(instance.quantities) > 1 or (name == "actuator_delay" and instance.target):
+        instances = list(instances_of(simulator.effect_context, name))
+        if name == "actuator_delay" and len(instances) > 1:  # that of all commands, not of each
+            instances = [instance for instance in instances if instance.target is None]
+        for instance in instances:
+            if len(instance.quantities) > 1:
                 continue
             quantity = instance.quantities[0]
             if instance.parameters[0].name in simulator.space.names:  # it is fitted

@@ -50,6 +50,52 @@ def test_what_is_small_is_told_too(hidden, said):
     assert any(said in text for text in fit.warnings)
 
 
+ONE_MOTOR = """
+<mujoco>
+  <option timestep="0.002" integrator="implicitfast"/>
+  <worldbody>
+    <body name="link"><joint name="hinge" axis="0 1 0" damping="0.3"/>
+      <geom name="rod" type="capsule" fromto="0 0 0 0 0 -0.5" size="0.02" mass="1"/></body>
+  </worldbody>
+  <actuator><motor name="motor" joint="hinge" gear="0.8"/></actuator>
+</mujoco>
+"""
+
+
+def one_motor(late):
+    """Noisy runs of one hinge, whose command comes so many physics steps late, of ten."""
+    model = mujoco.MjModel.from_xml_string(ONE_MOTOR)
+    data = mujoco.MjData(model)
+    rng = np.random.default_rng(0)
+    commands = np.repeat(rng.normal(0, 2, (80, 1)), 5, axis=0)
+    before = commands[0]
+    rows = []
+    for command in commands:
+        rows.append([*data.qpos, *data.qvel])
+        data.ctrl[:] = before
+        mujoco.mj_step(model, data, late)
+        data.ctrl[:] = command
+        mujoco.mj_step(model, data, 10 - late)
+        before = command
+    noisy = np.array(rows) + 1e-4 * rng.standard_normal((len(rows), 2))
+    ends = np.arange(len(rows) - 1) == len(rows) - 2
+    trajectories = Trajectories(noisy[:-1], commands[:-1], noisy[1:], ends)
+    damping = FieldParameter("damping", 0.1, 1.0, field="dof_damping", element="hinge")
+    spec = mujoco.MjSpec.from_string(ONE_MOTOR)
+    simulator = MujocoSimulator(spec, [damping], frame_skip=10, threads=1)
+    return Problem("one-motor", simulator, trajectories)
+
+
+def test_a_delay_of_the_only_command_is_told():
+    """8 ms, of all commands or of the one that there is; a control without."""
+    said = [text for text in LeastSquares().fit(one_motor(4), rng=0).warnings if "look" in text]
+    (sentence,) = said
+    assert "actuator delay" in sentence
+    assert float(sentence.split("delay about ")[1].split()[0]) == pytest.approx(0.008, rel=0.2)
+    fit = LeastSquares().fit(one_motor(0), rng=0)
+    assert not any("look" in text for text in fit.warnings)
+
+
 def test_a_right_model_looks_like_nothing():
     """Nothing is said where nothing speaks against the model."""
     fit = fitted(load("torque-arm", threads=1))

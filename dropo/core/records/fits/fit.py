@@ -318,7 +318,8 @@ class Fit(Report):
         Returns
         -------
         (d, 2) array
-            In the parameters' units; NaN without a standard error of the variance.
+            In the parameters' units; NaN without a standard error of the variance, or where no
+            mean has degrees of freedom. That of a mean on its bound are the fewest of the others.
 
         Raises
         ------
@@ -326,7 +327,7 @@ class Fit(Report):
             For a level that is not between 0 and 1.
         """
         require(0 < level < 1, "level", "between 0 and 1", level, "Fit.sd_interval")
-        count = self._degrees()
+        count = self._degrees_of_spread()
         tails = np.array([[(1 + level) / 2], [(1 - level) / 2]])
         variance = self.sd**2
         error = self._variance_errors()
@@ -372,7 +373,7 @@ class Fit(Report):
             For a level that is not between 0 and 1.
         """
         require(0 < level < 1, "level", "between 0 and 1", level, "Fit.correlation_interval")
-        degrees = self._degrees()
+        degrees = self._degrees_of_spread()
         fewest = np.minimum(degrees[:, None], degrees)
         off = ~np.eye(len(degrees), dtype=bool)
         r = np.where(off, self.correlation, 0.0)
@@ -382,6 +383,15 @@ class Fit(Report):
         half = student_quantile((1 + level) / 2, fewest) * np.maximum(se, of_sample)
         ends = np.tanh(np.arctanh(r)[..., None] + half[..., None] * np.array([-1.0, 1.0]))
         return np.where(off[..., None], ends, 1.0)
+
+    def _degrees_of_spread(self) -> Array:
+        """(d,) degrees of freedom of standard deviations: where the mean has none, as on a bound,
+        the fewest of the others; NaN where none has any, infinite where none are known.
+        """
+        if self.degrees_of_freedom is None:
+            return np.full(len(self.mean), np.inf)
+        known = self.degrees_of_freedom
+        return np.where(np.isfinite(known), known, np.fmin.reduce(known))
 
     def _degrees(self) -> Array:
         """(d,) degrees of freedom, infinite where there are none."""

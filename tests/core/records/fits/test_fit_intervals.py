@@ -107,6 +107,18 @@ def test_what_has_no_error_has_no_interval(tmp_path):
     assert again.to_json() == fit.to_json()
 
 
+def test_a_mean_on_its_bound_leaves_the_spread_its_groups():
+    """Its interval is that of as many groups as the others have; without any there is none."""
+    fit = sample_fit(np.random.default_rng(1).standard_normal((20, 2)))
+    on_bound = replace(fit, degrees_of_freedom=np.array([np.nan, 19.0]))
+    np.testing.assert_array_equal(on_bound.sd_interval(), fit.sd_interval())
+    np.testing.assert_array_equal(on_bound.correlation_interval(), fit.correlation_interval())
+    none = replace(fit, degrees_of_freedom=np.full(2, np.nan))
+    assert np.isnan(none.sd_interval()).all()
+    known = replace(fit, degrees_of_freedom=None)
+    assert np.all(known.sd_interval()[:, 1] < fit.sd_interval()[:, 1])
+
+
 def test_a_level_must_be_a_probability():
     """As of the means' intervals."""
     with pytest.raises(BadArgument, match="level"):
