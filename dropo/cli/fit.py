@@ -89,7 +89,10 @@ def add(commands: Any) -> None:
         "--lambda", dest="length", type=_length, metavar="N|auto", help="control steps in a segment"
     )
     parser.add_argument(
-        "--budget", type=whole(1), metavar="N", help="evaluations of the likelihood at most"
+        "--budget",
+        type=whole(1),
+        metavar="N",
+        help="evaluations of the likelihood at most; a round that has begun is ended",
     )
     parser.add_argument(
         "--draws",

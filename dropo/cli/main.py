@@ -12,6 +12,7 @@ import threading
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import Any, NoReturn
 
 import dropo
@@ -46,6 +47,10 @@ LONGEST = 1200
 class _Parser(argparse.ArgumentParser):
     """Refuses like everything else: one line, status 2, no usage."""
 
+    def __init__(self, *args: Any, **settings: Any) -> None:
+        super().__init__(*args, **settings)
+        self.register("type", Path, _named_path)
+
     def error(self, message: str, hint: str = "") -> NoReturn:
         rule = f"{message[:1].upper()}{message[1:]}."
         raise BadArgument(f"{rule}{hint} See `{self.prog} --help`.")
@@ -57,6 +62,13 @@ class _Parser(argparse.ArgumentParser):
             self.error(f"unrecognized arguments: {' '.join(unknown)}", self._suggestion(unknown))
         return found, unknown
 
+    def _print_message(self, message: str, file: Any = None) -> None:
+        """Write help, and let errors of that be told, which argparse swallows."""
+        from dropo.core.services.files.atomic_write import naming
+
+        with naming("standard output"):
+            print(message, end="", file=file or sys.stderr, flush=True)
+
     def _suggestion(self, unknown: Sequence[str]) -> str:
         """The option that is nearest to the first unknown one, as a sentence; empty for none."""
         import difflib
@@ -67,6 +79,13 @@ class _Parser(argparse.ArgumentParser):
             if near:
                 return f" Did you mean {near[0]!r}?"
         return ""
+
+
+def _named_path(text: str) -> Path:
+    """A path; an empty one, as of a variable that is not set, would be the present folder."""
+    if not text:
+        raise argparse.ArgumentTypeError("expected a path, got nothing; the present folder is '.'")
+    return Path(text)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

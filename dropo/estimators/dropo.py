@@ -100,7 +100,8 @@ class DROPO(Estimator):
     redraw : bool
         Whether a sampled likelihood has draws of their own for every evaluation.
     budget : int
-        Evaluations of one search.
+        Evaluations of one search at most; of a local likelihood no further round begins after so
+        many.
     start : {"middle", "least-squares", "random"}, mapping, sequence of float or Fit
         The first mean: the middle of the box, a least-squares estimate, or drawn from the box
         (uniformly, in logarithms where a parameter is searched so); values by parameter (those left
@@ -245,7 +246,8 @@ class DROPO(Estimator):
         if given is not None:
             return given
         if self.start == "least-squares":
-            return estimate(problem, run).value
+            with run.beginning():
+                return estimate(problem, run).value
         if self.start == "random":
             return space.from_unit(rng.random(len(space)))
         return (space.low + space.high) / 2
@@ -431,6 +433,7 @@ class DROPO(Estimator):
         if self.optimizer:
             make_optimizer = self._local_optimizer(self.optimizer, rng)
         regions, _ = search_settings(problem, self.search)
+        regions = replace(regions, budget=self.budget)
 
         def search(
             problem: Problem, noise: Noise, mean: Array, width: Array | None = None

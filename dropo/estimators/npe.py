@@ -48,6 +48,9 @@ class RoundSettings:
     learning_rate : float
         Step of the optimizer that trains the network: small networks take six times what sbi gives
         large ones.
+    proposals : int
+        So many times as many draws as are wanted are taken of a network at most, to find as many
+        inside the box.
     """
 
     margin: float = 0.25
@@ -57,6 +60,7 @@ class RoundSettings:
     minimum_simulations: int = 50
     batch: int = 50
     learning_rate: float = 3e-3
+    proposals: int = 100
 
 
 DEFAULTS = RoundSettings()
@@ -201,7 +205,7 @@ class NPE(Estimator):
             self.density,
             self.draws,
             seed,
-            self.settings.learning_rate,
+            self.settings,
         )
 
 
@@ -212,7 +216,7 @@ def learn(
     density: str,
     draws: int,
     seed: int,
-    learning_rate: float = DEFAULTS.learning_rate,
+    settings: RoundSettings = DEFAULTS,
 ) -> Array:
     """Learn the distribution of points given a summary, and draw from it.
 
@@ -230,7 +234,7 @@ def learn(
         How many.
     seed : int
         Of torch.
-    learning_rate : float
+    settings : RoundSettings
 
     Returns
     -------
@@ -255,12 +259,31 @@ def learn(
         )
         with redirect_stdout(StringIO()):  # sbi prints when it is done
             trainer.append_simulations(single(points), single((summaries - centre) / size))
-            network = trainer.train(learning_rate=learning_rate)
-        posterior = trainer.build_posterior(network)
-        found = posterior.sample(
-            (draws,), x=single((observed - centre) / size), show_progress_bars=False
-        )
-    return np.asarray(found.numpy(), dtype=float)
+            network = trainer.train(learning_rate=settings.learning_rate)
+        condition = single((observed - centre) / size)[None]
+
+        def propose() -> Array:
+            with torch.no_grad():
+                found = network.sample((draws,), condition=condition)[:, 0]
+            return np.asarray(found.numpy(), dtype=float)
+
+        return _in_box(propose, settings)
+
+
+def _in_box(propose: Callable[[], Array], settings: RoundSettings) -> Array:
+    """As many draws inside the unit box as are proposed (K, d) at a time.
+
+    Where hardly any are inside, as the data ask for parameters outside of the box, the rest are
+    brought to its edge: waiting for them would have no end.
+    """
+    inside: list[Array] = []
+    for _ in range(settings.proposals):
+        proposed = propose()
+        inside.append(proposed[((proposed >= 0) & (proposed <= 1)).all(axis=1)])
+        if sum(map(len, inside)) >= len(proposed):
+            break
+    kept = np.concatenate([*inside, np.clip(proposed, 0.0, 1.0)])
+    return kept[: len(proposed)]
 
 
 class _Silent:

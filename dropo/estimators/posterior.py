@@ -30,7 +30,7 @@ from dropo.estimators.support.posterior_targets import (
     PointLikelihood,
     log_posterior,
 )
-from dropo.estimators.support.summary import at_bounds, of_every_fit, with_model_check
+from dropo.estimators.support.summary import at_bounds, cut_off, of_every_fit, with_model_check
 
 
 @dataclass(frozen=True)
@@ -296,6 +296,9 @@ class Posterior(Estimator):
             diverging=draws.diverging,
             row_log_likelihood=self._row_log_likelihood(draws, target, len(targets)),
         )
+        cut = []
+        if self._of_parameters:
+            cut = cut_off(problem.space, family.mean(phi), family.sd(phi))
         fit = Fit(
             method=self.name,
             problem=problem.name,
@@ -317,7 +320,7 @@ class Posterior(Estimator):
             objective_evaluations=0,
             status=status,
             message=f"{len(draws.flat())} draws: {end}",
-            warnings=(*notes, *at_bounds(family.unknowns, phi)),
+            warnings=(*notes, *at_bounds(family.unknowns, phi), *cut),
             posterior=posterior,
         )
         return with_model_check(problem, run, replace(fit, **of_every_fit(problem, run, fit)))

@@ -141,6 +141,21 @@ def test_output_that_cannot_be_written(redirected: str, status: int, told: str) 
     assert (done.returncode, done.stderr) == (status, told)
 
 
+def test_help_that_cannot_be_written() -> None:
+    """One line, as of everything else; what is read in part is no error."""
+    done = run("--help", "> /dev/full")
+    told = "dropo: standard output: No space left on device.\n"
+    assert (done.returncode, done.stderr) == (1, told)
+    assert (run("--help", "| head -c 1").returncode, run("--help", ">&-").returncode) == (0, 0)
+
+
+def test_an_empty_path_is_refused() -> None:
+    """A variable that is not set is not the present folder."""
+    done = run("fit slide --out ''", "")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "--out: expected a path, got nothing" in done.stderr
+
+
 def test_any_character_in_the_locale_c() -> None:
     """Characters that the locale lacks are written as their codes."""
     ascii_only = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}

@@ -102,6 +102,9 @@ def test_a_budget_that_runs_out_is_told():
     fit = LeastSquares(budget=1).fit(slide())
     assert fit.status is Status.OUT_OF_BUDGET
     assert fit.message == "The budget of 1 evaluations ran out first."
+    few = LeastSquares(budget=4).fit(slide())
+    assert few.status is Status.OUT_OF_BUDGET
+    assert few.objective_evaluations <= 4 + 2  # the first misfit, and the end's errors
 
 
 def test_an_estimate_on_a_bound_is_told():

@@ -1,5 +1,7 @@
 """Neural posterior estimation against the conjugate posterior of a linear simulator."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -132,6 +134,14 @@ def test_slopes_are_the_estimate_of_least_squares():
     )
     moved = target.targets + 0.1
     assert np.abs(20 * summarize(moved[None])[0] - conjugate(one)[0]).max() > 0.01
+
+
+def test_a_box_without_the_truth_ends_on_its_bound():
+    """Of 1.5, in a box from 2 whose standard errors are 0.02: the fit ends, and says where."""
+    simulator = LinearSimulator(MATRICES, low=2.0, high=4.0)
+    narrow = replace(problem(epsilon=NOISE), simulator=simulator)
+    fit = NPE(simulations=100, rounds=2, draws=200).fit(narrow, rng=0)
+    assert any(" ends on its lower bound 2" in text for text in fit.warnings)
 
 
 def test_refusals(monkeypatch):

@@ -96,6 +96,27 @@ class Run:
     inner_evaluations: int = 0
     best: Fit | None = None
 
+    @contextmanager
+    def beginning(self, share: float = 0.05) -> Iterator[None]:
+        """Show what runs inside a block as the beginning of the run, a share of its progress.
+
+        Parameters
+        ----------
+        share : float
+            The fraction of the run that is done at the block's end.
+
+        Yields
+        ------
+        None
+            The block runs between.
+        """
+        progress = self.progress
+        self.progress = lambda fraction, text: progress(share * fraction, text)
+        try:
+            yield
+        finally:
+            self.progress = progress
+
     def evaluate(self, points: Array, function: Callable[[Array], Array]) -> Array:
         """Evaluate a function, or read its recorded values, and count what it costs.
 

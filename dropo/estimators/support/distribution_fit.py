@@ -14,7 +14,7 @@ from dropo.core.services.registry import find
 from dropo.core.services.validation import Array
 from dropo.estimators.support.epsilon import noise_shape
 from dropo.estimators.support.posterior_targets import PointLikelihood
-from dropo.estimators.support.summary import at_bounds, of_every_fit, with_model_check
+from dropo.estimators.support.summary import at_bounds, cut_off, of_every_fit, with_model_check
 
 ROUNDING = 1e-12  # of an interval: the standard deviation of draws that are all the same
 
@@ -150,7 +150,11 @@ def posterior_fit(
         status=status,
         message=message,
         search_record=search_record,
-        warnings=(*warnings, *at_bounds(family.unknowns, phi)),
+        warnings=(
+            *warnings,
+            *at_bounds(family.unknowns, phi),
+            *cut_off(problem.space, mean, family.sd(phi)),
+        ),
     )
     run.best = fit
     return with_model_check(problem, run, replace(fit, **of_every_fit(problem, run, fit)))

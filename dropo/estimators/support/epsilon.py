@@ -185,7 +185,8 @@ def noise_shape(problem: Problem, run: Run, settings: EpsilonSettings = DEFAULTS
         return np.asarray(problem.epsilon, dtype=float)
     variance = np.var(problem.simulator.targets(problem.segments), axis=0)
     lowest = np.maximum(settings.lowest * variance, 1e-300)
-    return np.maximum(estimate(problem, run).noise, lowest)
+    with run.beginning():
+        return np.maximum(estimate(problem, run).noise, lowest)
 
 
 def tune(

@@ -132,12 +132,13 @@ def estimate(
         lowest = np.maximum(1e-16 * np.var(targets, axis=0), 1e-300)
         variances = np.maximum(first.noise, lowest)
     half = plain_errors(first, width, settings) if step is None else step * width
+    left = max(1, budget - first.evaluations)
     try:
         if prior:
             begin = prior.within.clip(first.value)
-            last = _with_prior(problem, run, variances, begin, budget, half, prior)
+            last = _with_prior(problem, run, variances, begin, left, half, prior)
         else:
-            last = _solve(problem, run, variances, first.value, budget, half)
+            last = _solve(problem, run, variances, first.value, left, half)
     except InterruptedEstimate:
         raise
     except KeyboardInterrupt:  # before the first point of this pass

@@ -279,9 +279,9 @@ def local_standard_errors(
     if not free.all():
         scores = scores[:, free]
     jacobian = local_jacobian(objective, family.mean(phi[:own]), problem, settings, memory)
+    noise = np.maximum(objective.epsilon(phi), rounding(problem))
     by_unit = None
     if not of_groups:
-        noise = np.maximum(objective.epsilon(phi), rounding(problem))
         spread = _spread(family, phi[:own])
         by_unit = _information_by_unit(jacobian, spread, noise, information, means, units)
     if by_unit is not None:
@@ -298,7 +298,6 @@ def local_standard_errors(
         least = _with_shared_draws(problem, family, objective, phi, free, scores, jacobian, units)
         covariance = _at_least(covariance, least)
     errors[free] = np.sqrt(np.diagonal(covariance))
-    noise = np.maximum(objective.epsilon(phi), rounding(problem))
     errors[means] = np.hypot(errors[means], rounding_errors(problem, jacobian, noise))
     of_prior = _of_prior(prior, family.mean(phi[:own]), means, information, free)
 

@@ -43,6 +43,9 @@ class SummarySettings:
         fit in 16,000.
     near : float
         An estimate is warned of that is nearer to its bound than this fraction of the interval.
+    cut : float
+        So is a posterior whose mean is nearer than so many standard deviations: an exponential
+        density has 1, one that knows nothing of the interval 1.7.
     narrow : float
         Intervals are warned of that are so many times narrower than the scatter of scores says.
     level : float
@@ -54,12 +57,14 @@ class SummarySettings:
 
     apart: float = 4.0
     near: float = 1e-3
+    cut: float = 1.3
     narrow: float = 1.5
     level: float = 0.001
     trials: float = 0.1
 
 
 SETTINGS = SummarySettings()
+WIDEN = "widen it, or the model cannot explain the data"
 
 
 def as_found(
@@ -459,13 +464,46 @@ def at_bounds(space: ParameterSpace, phi: Array, settings: SummarySettings = SET
     list of str
         A sentence each.
     """
-    advice = "widen it, or the model cannot explain the data"
     sentences = []
     for i, (name, unit) in enumerate(zip(space.names, space.to_unit(phi), strict=True)):
         if name.startswith("partial."):  # of no meaning between parameters that do not vary
             continue
         if unit > 1 - settings.near:
-            sentences.append(f"{name} ends on its upper bound {space.high[i]:.6g}: {advice}")
+            sentences.append(f"{name} ends on its upper bound {space.high[i]:.6g}: {WIDEN}")
         elif unit < settings.near and name.startswith("mean."):
-            sentences.append(f"{name} ends on its lower bound {space.low[i]:.6g}: {advice}")
+            sentences.append(f"{name} ends on its lower bound {space.low[i]:.6g}: {WIDEN}")
+    return sentences
+
+
+def cut_off(
+    space: ParameterSpace, mean: Array, sd: Array, settings: SummarySettings = SETTINGS
+) -> list[str]:
+    """Name the parameters whose posterior a bound of the box cuts off.
+
+    Parameters
+    ----------
+    space : ParameterSpace
+        Of the d parameters.
+    mean, sd : (d,) array
+        Of the posterior.
+    settings : SummarySettings
+        What counts as cut off.
+
+    Returns
+    -------
+    list of str
+        A sentence each; of a mean on its bound, `at_bounds` speaks.
+    """
+    sentences = []
+    width = space.high - space.low
+    for side, bound, room in (
+        ("lower", space.low, mean - space.low),
+        ("upper", space.high, space.high - mean),
+    ):
+        cut = (room < settings.cut * sd) & (room > settings.near * width)
+        sentences += [
+            f"the posterior of {space.names[i]} is cut off by its {side} bound {bound[i]:.6g}:"
+            f" {WIDEN}"
+            for i in np.flatnonzero(cut)
+        ]
     return sentences

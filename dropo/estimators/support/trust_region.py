@@ -35,10 +35,11 @@ UNSETTLED = (
     "The estimate still moved after {} rounds: look at parameters that the data cannot tell."
 )
 SETTLED = "The estimate stopped moving after {} rounds."
+SPENT = "The budget of {} evaluations ran out in round {}: raise it."
 CUT_SHORT = (
-    "The estimate stopped moving, but the search within the last round did not come to its end:"
-    " raise its budget."
+    "The estimate stopped moving, but the search within the last round did not come to its end."
 )
+RAISE = " Raise its budget."
 STALLED = "The likelihood stopped rising after {} rounds; designs differ by more than the steps."
 DIVERGED = "Simulations of a design diverged."
 SLOW = "an iteration takes {}"
@@ -56,6 +57,8 @@ class TrustRegionSettings:
     ----------
     max_iterations : int
         There are so many outer iterations at most.
+    budget : int or None
+        None begins after so many evaluations of the whole run.
     first_width : float
         Width of the first region, and the largest of any, as a fraction of the search interval.
     minimum_width : float
@@ -111,6 +114,7 @@ class TrustRegionSettings:
     """
 
     max_iterations: int = 25
+    budget: int | None = None
     first_width: float = 1 / 6
     minimum_width: float = 5e-5
     coarse_segments: int = 60
@@ -316,7 +320,7 @@ class OuterIterations:
         best = self._best(results)
         if status is Status.CONVERGED and not best.converged:
             status = Status.OUT_OF_BUDGET
-            reason = CUT_SHORT
+            reason = CUT_SHORT + (RAISE if self.make_optimizer else "")
         if best.region.stage is not Stage.ALL:
             best = self._on_all_segments(best)
         objective = self._likelihood_of(best)
@@ -348,6 +352,9 @@ class OuterIterations:
             stalled = self._is_stalled(results)
             if stalled and sees_all:
                 return Status.CONVERGED, STALLED.format(count)
+
+            if self.settings.budget is not None and self.run.evaluations >= self.settings.budget:
+                return Status.OUT_OF_BUDGET, SPENT.format(self.settings.budget, count)
 
             # Move there; once the estimate is settled on some segments, see more of them.
             region = self._with_more(following, results, settled or stalled)

@@ -24,7 +24,7 @@ from dropo.estimators.dropo import DROPO
 from dropo.estimators.least_squares import LeastSquares
 from dropo.estimators.random_effects import RandomEffects
 from dropo.estimators.support import standard_errors
-from dropo.estimators.support.summary import at_bounds
+from dropo.estimators.support.summary import at_bounds, cut_off
 from dropo.estimators.uniform_randomization import UniformRandomization
 from dropo.problems.simulated.slide import slide
 from dropo.simulators.toy import LinearSimulator, SlidingBlock, simulate
@@ -168,6 +168,18 @@ def test_what_ends_on_a_bound_is_told():
         f"scale.b ends on its upper bound 0.5: {end}",
     ]
     assert at_bounds(space, np.array([1.5, 1.5, 1e-5, 0.1, 0.0, 1.0])) == []
+
+
+def test_a_posterior_that_a_bound_cuts_off_is_told():
+    """Exponential at a bound, normal in the box, uniform over it; a mean on its bound is told of
+    elsewhere.
+    """
+    space = ParameterSpace([Parameter(name, 0.0, 1.0) for name in "abcd"])
+    mean = np.array([0.99, 0.5, 0.5, 1e-5])
+    assert cut_off(space, mean, np.array([0.01, 0.1, 0.29, 1e-5])) == [
+        "the posterior of a is cut off by its upper bound 1: widen it, or the model cannot explain"
+        " the data"
+    ]
 
 
 # --- the Fit

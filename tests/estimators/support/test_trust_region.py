@@ -1,10 +1,13 @@
 """What a search in trust regions says of its own cost."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from dropo.core.contracts.estimator import Run
 from dropo.core.contracts.noise import Noise
+from dropo.core.records.fits.fit import Status
 from dropo.estimators.support.trust_region import (
     OuterIterations,
     Stage,
@@ -43,6 +46,28 @@ def test_slow_iterations_are_told_once(likelihood, slow, told):
     outer.fit((space.low + space.high) / 2)
     assert len(said) > len(told)
     assert [text for text in said if text.startswith("an iteration takes")] == told
+
+
+def test_no_round_begins_once_the_budget_is_spent():
+    """And the search did not converge, then; a control with enough."""
+    outer = search(Emulated(), TrustRegionSettings(budget=1), [])
+    middle = outer.problem.space.from_unit(np.full(2, 0.5))
+    _, found = outer.fit(middle)
+    assert found.status is Status.OUT_OF_BUDGET
+    assert found.reason == "The budget of 1 evaluations ran out in round 1: raise it."
+    enough = search(Emulated(), TrustRegionSettings(budget=100), [])
+    assert enough.fit(middle)[1].status is Status.CONVERGED
+
+
+def test_what_begins_a_run_is_a_share_of_its_progress():
+    """Half of the beginning is half of its share; the rest of the run shows its own."""
+    shown = []
+    outer = search(Emulated(), TrustRegionSettings(), [])
+    run = replace(outer.run, progress=lambda fraction, text: shown.append(fraction))
+    with run.beginning(0.1):
+        run.progress(0.5, "first")
+    run.progress(0.5, "then")
+    assert shown == [0.05, 0.5]
 
 
 def test_the_forecast_counts_simulations():
