@@ -64,10 +64,12 @@ class _Parser(argparse.ArgumentParser):
 
     def _print_message(self, message: str, file: Any = None) -> None:
         """Write help, and let errors of that be told, which argparse swallows."""
-        from dropo.core.services.files.atomic_write import naming
-
-        with naming("standard output"):
+        try:
             print(message, end="", file=file or sys.stderr, flush=True)
+        except BrokenPipeError:
+            raise
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, "standard output") from None
 
     def _suggestion(self, unknown: Sequence[str]) -> str:
         """The option that is nearest to the first unknown one, as a sentence; empty for none."""
