@@ -16,7 +16,7 @@ from dropo.core.contracts.effect import (
 from dropo.core.services.errors import BadArgument
 from dropo.core.services.validation import Array, known
 from dropo.effects.support.formula import Units, read_formula
-from dropo.effects.support.formula_values import Program, evaluate
+from dropo.effects.support.formula_values import Node, Program, evaluate, evaluate_with, followed
 from dropo.mjmodel.dynamics.forces import joint_loads, motor_force, motors
 from dropo.mjmodel.joints import Joint, actuators, joints
 from dropo.mjmodel.kinematics import centre_motion
@@ -402,24 +402,22 @@ def hidden_states(
     model = state.model
     sizes = np.cumsum([1, model.nq, model.nv])
     time, qpos, qvel, act = np.split(past.states, sizes, axis=1)
-    begins = np.flatnonzero(time[:, 0] == 0)
-    lengths = np.diff(np.append(begins, len(time)))
     rows = StepState(qpos, qvel, past.commands, 0, act, model, time[:, 0])
     values = variables(rows)
-    ends = _held_ends(rows, physics_step(model))
-    held = variables(ends)
-    memory: dict[int, Any] = {}
+    # Until the next row's command, this row's is held.
+    held = variables(_held_ends(rows, physics_step(model)))
+    along = {name: np.stack([values[name], held[name]], axis=1).ravel() for name in values}
+    begins = np.repeat(time[:, 0] == 0, 2)
+    begins[1::2] = False
     found: dict[int, tuple[Array, ...]] = {}
-    for k in range(int(lengths.max())):
-        at = begins + np.minimum(k, lengths - 1)
-        evaluate(program, {name: value[at] for name, value in values.items()}, magnitudes, memory)
-        alive = k < lengths
-        for i, parts in memory.items():
-            whole = found.setdefault(i, tuple(np.zeros(len(time)) for _ in parts))
-            for out, part in zip(whole, parts, strict=True):
-                out[at[alive]] = np.broadcast_to(part, at.shape)[alive]
-        # Until the next row's command, this row's is held.
-        evaluate(program, {name: value[at] for name, value in held.items()}, magnitudes, memory)
+
+    def remembered(node: Node, inside: list[Any], along: dict[tuple[str, str], Array]) -> Array:
+        """A hidden state along all rows, noted at each."""
+        whole = followed(node, inside, along, begins)
+        found[node[3]] = tuple(part[::2] for part in whole)
+        return whole[0]
+
+    evaluate_with(program, along, magnitudes, remembered)
     return found
 
 

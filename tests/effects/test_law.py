@@ -6,7 +6,7 @@ import pytest
 from dropo.core.services.errors import BadArgument, InvalidInput, UnknownName
 from dropo.effects.law import law_instance, law_of_text, places, units_at
 from dropo.effects.support.formula import read_formula
-from dropo.effects.support.formula_values import evaluate
+from dropo.effects.support.formula_values import evaluate, evaluate_with, followed
 from dropo.mjmodel.joints import joints
 from dropo.problems.simulated.robots import simulated_robot
 from tests.models.hidden_in_arm import instance, problem
@@ -89,6 +89,33 @@ def test_what_is_no_formula_is_refused(text, told):
     """Free code, unknown names, wrong units: one line that says what is wrong, and what is near."""
     with pytest.raises(InvalidInput, match=told):
         read_formula(text, UNITS, "N m", ["c", "d"])
+
+
+@pytest.mark.parametrize("text", ["c * lag(v, T)", "c * dahl(w)", "c * lag(v, T) * dahl(w)"])
+def test_hidden_states_along_runs_are_those_of_step_by_step(text):
+    """Two runs of other lengths, a state that rests and a time that stands still among them."""
+    program = read_formula(text, UNITS, "N m").program
+    constants = np.array([{"c": 2.0, "T": 0.3, "w": 0.4}[name] for name in program.constants])
+    rng = np.random.default_rng(3)
+    begins = np.isin(np.arange(25), [0, 15])
+    values = {key: rng.normal(size=25) for key in UNITS}
+    values["q", ""][7] = values["q", ""][6]
+    values["t", ""] = 0.1 * np.r_[np.arange(15), np.arange(10)]
+    followed_states = {}
+
+    def remembered(node, inside, values):
+        followed_states[node[3]] = followed(node, inside, values, begins)
+        return followed_states[node[3]][0]
+
+    whole = evaluate_with(program, values, constants, remembered)
+    for first, last in ((0, 15), (15, 25)):
+        memory = {}
+        for i in range(first, last):
+            one = {key: value[i : i + 1] for key, value in values.items()}
+            assert evaluate(program, one, constants, memory) == pytest.approx(whole[i], abs=1e-12)
+            for place, parts in memory.items():
+                at = [part[i] for part in followed_states[place]]
+                np.testing.assert_allclose(np.ravel(parts), at, atol=1e-12)
 
 
 def test_values():

@@ -3,10 +3,13 @@
 What is here is written into `model.py` files, which run without this package.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dropo.core.services.validation import Array
 
@@ -16,6 +19,8 @@ Node = tuple[Any, ...]
 ("alike", term, names) is the sum of terms that differ by their constants alone: each constant of
 one of them, and what it is called in all.
 """
+Remembered = Callable[[Node, list[Any], dict[tuple[str, str], Array]], Array]
+"""Gives the values of a hidden state, of its arguments and the variables."""
 DIRECTION_WIDTH = 1e-2
 """The speed below which the sign of a speed fades out [rad/s, m/s]."""
 TINY = 1e-12
@@ -68,16 +73,46 @@ def evaluate(
     (n,) array
         0 where the formula has no finite value.
     """
+    return evaluate_with(program, values, magnitudes, partial(_hidden, memory=memory))
+
+
+def evaluate_with(
+    program: Program,
+    values: dict[tuple[str, str], Array],
+    magnitudes: Array,
+    remembered: Remembered,
+) -> Array:
+    """Evaluate a formula in n states, whose hidden states a function gives.
+
+    Parameters
+    ----------
+    program : Program
+        The formula.
+    values : dict of (str, str) to (n,) array
+        As of `evaluate`.
+    magnitudes : (q,) array
+        Its constants.
+    remembered : callable
+        Of a hidden state, its arguments and the variables: its values (n,).
+
+    Returns
+    -------
+    (n,) array
+        0 where the formula has no finite value.
+    """
     constants = dict(zip(program.constants, magnitudes, strict=True))
     with np.errstate(all="ignore"):
-        found = np.asarray(_value(program.root, values, constants, memory), dtype=float)
+        found = np.asarray(_value(program.root, values, constants, remembered), dtype=float)
     count = len(next(iter(values.values()))) if values else 1
     found = np.broadcast_to(found, (count,))
     return np.where(np.isfinite(found), found, 0.0)
 
 
 def _value(
-    node: Node, values: dict[tuple[str, str], Array], constants: dict[str, Any], memory: Any
+    node: Node,
+    values: dict[tuple[str, str], Array],
+    constants: dict[str, Any],
+    remembered: Remembered,
 ) -> Any:
     """The value of a part of a formula."""
     kind = node[0]
@@ -91,10 +126,10 @@ def _value(
         each = constants | {
             name: np.array([constants[one] for one in names])[:, None] for name, names in node[2]
         }
-        return np.sum(_value(node[1], values, each, memory), axis=0)
-    inside = [_value(one, values, constants, memory) for one in node[2]]
+        return np.sum(_value(node[1], values, each, remembered), axis=0)
+    inside = [_value(one, values, constants, remembered) for one in node[2]]
     if kind == "hidden":
-        return _hidden(node, inside, values, memory)
+        return remembered(node, inside, values)
     return _operation(node[1], inside)
 
 
@@ -162,3 +197,51 @@ def _hidden(
         state = np.where(moved == 0, memory[place][0], state)
     memory[place] = (state, now, time)
     return state
+
+
+def followed(
+    node: Node,
+    inside: list[Any],
+    values: dict[tuple[str, str], Array],
+    begins: NDArray[np.bool_],
+) -> tuple[Array, Array, Array]:
+    """Follow a hidden state along runs, as `evaluate` carries it from one state to the next.
+
+    Parameters
+    ----------
+    node : tuple
+        The hidden state's part of the formula.
+    inside : list
+        The values of its arguments, (n,) arrays or numbers.
+    values : dict of (str, str) to (n,) array
+        The variables, in the order of time.
+    begins : (n,) array of bool
+        Where a run begins.
+
+    Returns
+    -------
+    tuple of three (n,) arrays
+        What `evaluate` remembers: the state, its input, and the time.
+    """
+    time = values["t", ""]
+    if node[1] == "lag":
+        now = np.broadcast_to(np.asarray(inside[0], dtype=float), time.shape)
+        passed = np.maximum(np.diff(time, prepend=time[0]), TINY) / max(abs(inside[1]), TINY)
+        slope = np.diff(now, prepend=now[0]) / passed
+        kept = np.exp(-passed)
+        added = now - slope + (slope - np.append(now[0], now[:-1])) * kept
+        first = now
+    else:
+        now = values["q", ""]
+        moved = np.diff(now, prepend=now[0])
+        kept = np.exp(-np.abs(moved) / max(abs(inside[0]), TINY))
+        added = np.sign(moved) * (1 - kept)
+        first = np.zeros_like(now)
+    state = []
+    last = 0.0
+    kept = np.where(begins, 0.0, kept)
+    added = np.where(begins, first, added)
+    for share, more in zip(kept.tolist(), added.tolist(), strict=True):
+        last = share * last + more
+        state.append(last)
+    return np.array(state), now, time
