@@ -202,7 +202,11 @@ REFUSALS = {
         "frame_skip: 2\nframe_skip: 4",
         "line 4: expected YAML, got the key 'frame_skip' twice.",
     ),
-    "no YAML": ("[ctrl]", "[ctrl", "line 7: expected YAML, got expected ',' or ']', but got ':'."),
+    "no YAML": (
+        "[ctrl]",
+        "[ctrl",
+        "line 7: expected YAML, got what a parser refuses: expected ',' or ']', but got ':'.",
+    ),
     "no model": (
         "model: robot.xml\n",
         "",

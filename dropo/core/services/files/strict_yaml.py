@@ -158,4 +158,6 @@ def _describe_fault(error: Exception) -> str:
     twice = re.match(r'found duplicate key "(.*?)" with value', problem)
     if twice:
         return f"the key {twice[1]!r} twice"
-    return problem.splitlines()[0] if problem else type(error).__name__
+    # What Python says of a number that is too long is no use to who wrote it.
+    line = problem.splitlines()[0].partition("; use sys.")[0] if problem else type(error).__name__
+    return f"what a parser refuses: {line}"
