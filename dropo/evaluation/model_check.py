@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from dropo.core.contracts.problem import Problem
 from dropo.core.numerics.dependence import Units, unit_sums, variance_of_sum
 from dropo.core.numerics.kept_rows import KeptRows, row_blocks
+from dropo.core.numerics.lattice import lattice_step
 from dropo.core.numerics.robust_statistics import deviation
 from dropo.core.numerics.tails import normal_tail, student_tail
 from dropo.core.records.fits.fit_parts import ModelCheck, ResidualSize, ResidualStructure
@@ -48,6 +49,9 @@ class ModelCheckSettings:
         rest is mostly noise.
     rounding : float
         Residuals below this fraction of the signal are no evidence.
+    rounded : float
+        Of a rounded signal, what residuals may follow a feature by is this fraction of its step:
+        errors of rounding are no noise, where motions begin alike.
     faint : float
         Residuals below this fraction of the noise are no evidence either.
     lost : float
@@ -70,6 +74,7 @@ class ModelCheckSettings:
     blocks: int = 40
     own: float = 0.05
     rounding: float = 1e-7
+    rounded: float = 0.05
     faint: float = 1e-2
     lost: float = 0.25
     smooth: float = 0.5
@@ -87,7 +92,8 @@ class _StandardizedResiduals:
 
     rest: (n, p) without what parameters of each group would explain; jacobian: (n, p, d) of the
     predictions; gram: (G, d, d) its square summed over each group; group: (n,); units: the
-    independent units of rows; names: of the signals.
+    independent units of rows; step: (p,) of signals that are rounded, else 0; names: of the
+    signals.
     """
 
     rest: Array
@@ -95,15 +101,20 @@ class _StandardizedResiduals:
     gram: Array
     group: Ints
     units: Units
+    step: Array
     names: list[str]
 
 
 @dataclass(frozen=True, eq=False)
 class _Slopes:
-    """Slopes (R, p, d) of the signals that are evidence, in units of the residuals' size; names."""
+    """Slopes (R, p, d) of the signals that are evidence, in units of the residuals' size.
+
+    step: (p,) of those that are rounded, in the same units, else 0; names: of the signals.
+    """
 
     jacobian: KeptRows
     unit: Array
+    step: Array
     evident: NDArray[np.bool_]
     names: list[str]
 
@@ -176,7 +187,8 @@ def check_model(
         unit = np.where(evident, scale, 1.0)
         signals = zip(problem.simulator.signals, evident, strict=True)
         names = [signal.name for signal, kept in signals if kept]
-        slopes = _Slopes(jacobian, unit, evident, names)
+        step = np.array([lattice_step(column) or 0.0 for column in targets.T[evident]])
+        slopes = _Slopes(jacobian, unit, step / unit[evident], evident, names)
         group = groups_with_draws(problem.segments, residual.shape[1], jacobian.shape[2])
         rest = _without_draws((residual / unit)[:, evident], slopes, group)
         # The noise that was stated, where another one was fitted; that of starts is carried along.
@@ -309,7 +321,9 @@ def _follows(
     cut = _cut(rest[tested], settings.outlier)
     own = slopes.of_rows(tested)
     group = np.unique(group[tested], return_inverse=True)[1]
-    left = _StandardizedResiduals(cut, own, _grams(own, group), group, units, slopes.names)
+    left = _StandardizedResiduals(
+        cut, own, _grams(own, group), group, units, slopes.step, slopes.names
+    )
     return _structure(left, features, settings)
 
 
@@ -382,7 +396,7 @@ def _structure(
     """The strongest dependence of a signal's residuals on one feature, and on all of them in
     held-out data.
     """
-    scores = _scores(left, features, settings.own)  # (p, F)
+    scores = _scores(left, features, settings)  # (p, F)
     signal, feature = np.unravel_index(np.abs(scores).argmax(), scores.shape)
     strongest = float(scores[signal, feature])
     predicted = _predictability(left, features, settings)  # (p,)
@@ -404,9 +418,11 @@ def _structure(
     return found, [f"the model is wrong: residuals of {what}"]
 
 
-def _scores(left: _StandardizedResiduals, features: Features, own_fraction: float) -> Array:
+def _scores(
+    left: _StandardizedResiduals, features: Features, settings: ModelCheckSettings
+) -> Array:
     """(p, F) normal scores of the product of residuals and features, these too without what
-    parameters explain (Frisch and Waugh 1933).
+    parameters explain (Frisch and Waugh 1933), less what rounding may make of it.
     """
     rest = left.rest
     named = np.zeros((len(rest), features.named.shape[1]))
@@ -426,11 +442,13 @@ def _scores(left: _StandardizedResiduals, features: Features, own_fraction: floa
         product = rest[:, j, None] * named
         for rows in blocks:
             product[rows] -= np.einsum("rd,rdf->rf", along[rows], fitted[left.group[rows]])
-        out[j] = np.where(own > own_fraction, score_of_sum(product, left.units), 0.0)
+        allowed = settings.rounded * left.step[j] * own * np.sqrt(len(rest) * size)
+        scores = score_of_sum(product, left.units, allowed)
+        out[j] = np.where(own > settings.own, scores, 0.0)
     return out
 
 
-def score_of_sum(values: Array, units: Units) -> Array:
+def score_of_sum(values: Array, units: Units, allowed: Array | float = 0.0) -> Array:
     """Return the normal scores of t-tests that columns sum to 0 over independent units.
 
     Parameters
@@ -439,6 +457,8 @@ def score_of_sum(values: Array, units: Units) -> Array:
         The columns.
     units : Units
         Of the R rows.
+    allowed : (k,) array or float
+        By how much sums may be off 0.
 
     Returns
     -------
@@ -452,7 +472,9 @@ def score_of_sum(values: Array, units: Units) -> Array:
         error = sums.std(axis=0, ddof=1) * np.sqrt(len(sums))
         degrees = np.full(values.shape[1], len(sums) - 1.0)
     with np.errstate(divide="ignore", invalid="ignore"):
-        t = np.where(error > 0, values.sum(axis=0) / error, 0.0)
+        whole = values.sum(axis=0)
+        beyond = np.sign(whole) * np.maximum(np.abs(whole) - allowed, 0.0)
+        t = np.where(error > 0, beyond / error, 0.0)
     return score_of_t(t, degrees)
 
 

@@ -15,6 +15,7 @@ from dropo.estimators.dropo import DROPO
 from dropo.estimators.epopt import EPOpt
 from dropo.estimators.least_squares import LeastSquares
 from dropo.estimators.posterior import Posterior
+from dropo.evaluation import model_check
 from dropo.evaluation.model_check import check_model
 from dropo.mjmodel.fields import FieldParameter
 from dropo.optimizers.samplers.emcee import Emcee
@@ -22,7 +23,7 @@ from dropo.problems.simulated.slide import slide
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 from dropo.simulators.toy import LinearSimulator, simulate
 from dropo.studies.intervals.coverage import FEW, MANY
-from dropo.studies.intervals.data_sets import data_set
+from dropo.studies.intervals.data_sets import NOISE, data_set
 from tests.reference.pushes import pushes
 
 SETS = 15
@@ -45,6 +46,35 @@ def test_limits_are_those_of_chance():
 def test_a_right_model_is_not_accused(noise, size):
     """Fewer than 3 of 15 data sets, with many short trajectories and with two long ones."""
     assert sum(not fitted(noise, seed, size)[0].trusted for seed in range(SETS)) < 3
+
+
+def rounded_pushes(seed):
+    """A fit as it comes of encoders' readings of motions that all begin alike, one of 14 whose
+    errors of rounding follow the first pushes.
+    """
+    problem, _ = data_set("block", "quantised", *MANY, np.random.default_rng([seed, 25, 1]))
+    return DROPO().fit(problem, rng=seed)
+
+
+def test_errors_of_rounding_are_not_the_model(monkeypatch):
+    """They follow what moves, by a little; a control where rounding is not known."""
+    assert rounded_pushes(20025).trusted
+    monkeypatch.setattr(model_check, "lattice_step", lambda column: None)
+    assert not rounded_pushes(20025).trusted
+
+
+def test_friction_is_missing_in_rounded_data_too():
+    """What residuals follow is more than a twentieth of a step then."""
+    for seed in range(5):
+        problem, _ = data_set("block", "dry friction", *MANY, np.random.default_rng([7, seed]))
+        data = problem.trajectories
+        step = np.sqrt(12) * NOISE
+        read = {
+            name: np.round(getattr(data, name) / step) * step
+            for name in ("observations", "next_observations")
+        }
+        fit = DROPO().fit(replace(problem, trajectories=replace(data, **read)), rng=seed)
+        assert not fit.trusted
 
 
 def test_start_noise_that_is_modelled_is_not_accused():

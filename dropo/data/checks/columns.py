@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from dropo.core.numerics.lattice import lattice_step
 from dropo.core.records.trajectories import Ints
 from dropo.core.services.validation import Array
 from dropo.data.checks.findings import Finding, Level
@@ -499,30 +500,6 @@ def _smallest_step(values: Array) -> float:
     steps = np.abs(np.diff(values))
     rounding = 1e-9 * float(np.ptp(values))
     return float(np.min(steps[steps > rounding], initial=np.inf))
-
-
-def lattice_step(values: Array) -> float | None:
-    """Find the step of a lattice on which all numbers lie, with several rows on each point.
-
-    Parameters
-    ----------
-    values : (n,) array
-        The numbers.
-
-    Returns
-    -------
-    float or None
-        The step, in their unit; None where they lie on no lattice.
-    """
-    points = np.unique(values)
-    if len(points) < 3 or len(points) > len(values) / 2:
-        return None
-    steps = np.diff(points)
-    rounding = 1e-9 * (points[-1] - points[0])
-    step = float(np.min(steps[steps > rounding], initial=np.inf))
-    counts = steps / step
-    whole = np.abs(counts - np.rint(counts)) < 0.05
-    return step if np.mean(whole) > 0.95 else None
 
 
 def is_coarse(column: Column, settings: ColumnSettings = DEFAULTS) -> bool:

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dropo.core.numerics.lattice import lattice_step
 from dropo.core.services.validation import Array
-from dropo.data.checks.columns import lattice_step, unwrap
+from dropo.data.checks.columns import unwrap
 from dropo.logs.units import SECONDS, UNITS, known_unit, unit_named
 from dropo.mjmodel.joints import Joint
 from dropo.mjmodel.sensors import G
