@@ -1,14 +1,16 @@
 """What a search refuses at its end."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from dropo.diagnosis import solving
 from dropo.diagnosis.findings.causes import standard_errors
 from dropo.diagnosis.search.review import reviews_so_far
-from dropo.diagnosis.setup import SearchedEffects
-from dropo.diagnosis.solving import that_may_be_nothing
+from dropo.diagnosis.setup import SearchedEffects, SearchSetup
+from dropo.diagnosis.solving import MAY_BE_NOTHING, that_may_be_nothing, without_worse
 from tests.models.linear_mass import instances, measured, selection
 
 LEVEL = 0.98
@@ -30,6 +32,36 @@ def test_an_effect_whose_size_may_be_0_is_refused():
     assert label == "bias:mass"
     assert (leader.effect, leader.why) == ("bias", "its size may be 0")
     assert "not accepted" in leader.sentence
+
+
+@pytest.mark.parametrize(
+    ("gain", "why", "most", "goes_on"),
+    [
+        (200.0, MAY_BE_NOTHING, 6, False),  # no more than one that was refused as nothing
+        (300.0, MAY_BE_NOTHING, 6, True),
+        (200.0, "errors are larger", 6, True),
+        (300.0, MAY_BE_NOTHING, 1, False),  # after so many
+    ],
+)
+def test_others_in_the_place_of_nothing_are_not_looked_for(monkeypatch, gain, why, most, goes_on):
+    """One that explained 250 nats and may be nothing went before."""
+    search, _ = selection(measured({"damping": 0.2}))
+    library, found = searched({"damping": 0.2}, ("damping", "bias"))
+    label, leader = that_may_be_nothing(library, found, LEVEL)
+    earlier = {"spring:mass": replace(leader, gain=250.0)}
+    setup = SearchSetup(None, None, library, search, None, None, None, 0, (), worse=earlier)
+    asked = []
+
+    def explain(setup, first, begun):
+        asked.append(begun)
+        return begun, {}
+
+    monkeypatch.setattr(solving, "explain", explain)
+    latest = replace(leader, gain=gain, why=why)
+    setup, after = without_worse(setup, found, label, latest, most)
+    assert len(asked) == goes_on
+    assert label not in {one.label for one in after.last.accepted}
+    assert set(setup.worse) == {"spring:mass", label}
 
 
 def test_a_small_change_of_the_model_must_be_twice_as_certain(monkeypatch):
