@@ -53,6 +53,15 @@ def test_the_table_of_few_data_sets():
     assert [row[0] for row in study.tables[0].rows] == ["block, independent", "block, dry friction"]
 
 
+def test_some_kinds_of_data_alone():
+    """By robot and noise, as they are listed; others are refused with the nearest name."""
+    study = coverage(Work(threads=1), 2, problems=["block, quantised"])
+    assert [row[0] for row in study.tables[0].rows] == ["block, quantised"]
+    assert not study.remarks
+    with pytest.raises(UnknownName, match="Did you mean 'block, quantised'"):
+        coverage(Work(threads=1), 2, problems=["block, quantized"])
+
+
 def test_a_posterior_of_one_value_is_told_of_runs_that_differ():
     """Two of each: silent where the model is right, loud where each run has values of its own."""
     cases = (CASES[-3], CASES[-1])
