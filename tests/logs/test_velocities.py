@@ -160,5 +160,8 @@ def test_refusals():
         estimate_velocities(np.arange(4), np.zeros((4, 1)))
     with pytest.raises(BadArgument, match="strictly increasing"):
         estimate_velocities([0, 1, 2, 2, 3, 4, 5, 6], np.zeros((8, 1)))
+    broken = np.append(0.01 * np.arange(59), 1e308)
+    with pytest.raises(BadArgument, match="without a step of more than 1e\\+09 usual ones"):
+        estimate_velocities(broken, np.zeros((60, 1)))
     with pytest.raises(BadArgument, match="above 0"):
         estimate_velocities(np.arange(8), np.zeros((8, 1)), noise=[0])

@@ -38,6 +38,8 @@ class VelocitySettings:
 
     Attributes
     ----------
+    longest : float
+        Median steps of time in a step: what is longer is no clock.
     lowest : float
         Lower bound of log(q / r), in steps of the median time.
     highest : float
@@ -67,6 +69,7 @@ class VelocitySettings:
         1990).
     """
 
+    longest: float = 1e9
     lowest: float = -30.0
     highest: float = 10.0
     grid_step: float = 4.0
@@ -164,6 +167,11 @@ def estimate_velocities(
     require(len(stamps) > 2 * ORDER, "positions", rule, len(stamps), caller)
     increasing = bool((np.diff(stamps) > 0).all())
     require(increasing, "time", "strictly increasing", "instants that are not", caller)
+    steps = np.diff(stamps)
+    rule = f"without a step of more than {settings.longest:g} usual ones"
+    longest = int(steps.argmax())
+    got = f"one of {steps[longest]:.3g} s, to row {longest + 1}"
+    require(steps[longest] <= settings.longest * np.median(steps), "time", rule, got, caller)
     levels: list[float | None] = [None] * rows.shape[1]
     if noise is not None:
         known = float_array("noise", noise, (rows.shape[1],), caller)
