@@ -174,29 +174,44 @@ def _hidden(
     """
     place = node[3]
     time = values["t", ""]
-    if node[1] == "lag":
-        now = np.broadcast_to(np.asarray(inside[0], dtype=float), time.shape)
-        if place not in memory:
-            state = np.array(now)
-        else:
-            state, before, then = memory[place]
-            # Exact for an input that changes evenly in between.
-            passed = np.maximum(time - then, TINY) / max(abs(inside[1]), TINY)
-            slope = (now - before) / passed
-            state = now - slope + (state - before + slope) * np.exp(-passed)
-        memory[place] = (state, now, time)
-        return state
-    now = values["q", ""]
-    if place not in memory:
-        state = np.zeros_like(now)
+    now = _remembered_input(node, inside, values)
+    if place in memory:
+        state, before, then = memory[place]
+        kept, added = _carried(node, inside, before, now, time - then)
+        state = kept * state + added
     else:
-        state, before, _ = memory[place]
-        moved = now - before
-        towards = np.sign(moved)
-        state = towards + (state - towards) * np.exp(-np.abs(moved) / max(abs(inside[0]), TINY))
-        state = np.where(moved == 0, memory[place][0], state)
+        state = _at_first(node, now)
     memory[place] = (state, now, time)
     return state
+
+
+def _remembered_input(node: Node, inside: list[Any], values: dict[tuple[str, str], Array]) -> Array:
+    """What a hidden state follows: (n,) its argument, or the joint's position."""
+    if node[1] == "lag":
+        return np.broadcast_to(np.asarray(inside[0], dtype=float), values["t", ""].shape)
+    return values["q", ""]
+
+
+def _at_first(node: Node, now: Array) -> Array:
+    """A hidden state where nothing came before: (n,) its input, or 0 of what slides."""
+    return np.array(now) if node[1] == "lag" else np.zeros_like(now)
+
+
+def _carried(
+    node: Node, inside: list[Any], before: Array, now: Array, passed: Array
+) -> tuple[Array, Array]:
+    """(n,) by what a hidden state is multiplied from one input to the next, and what is added.
+
+    Exact for an input that changes evenly in between.
+    """
+    if node[1] == "lag":
+        times = np.maximum(passed, TINY) / max(abs(inside[1]), TINY)
+        slope = (now - before) / times
+        kept = np.exp(-times)
+        return kept, now - slope + (slope - before) * kept
+    moved = now - before
+    kept = np.exp(-np.abs(moved) / max(abs(inside[0]), TINY))
+    return kept, np.sign(moved) * (1 - kept)
 
 
 def followed(
@@ -224,23 +239,13 @@ def followed(
         What `evaluate` remembers: the state, its input, and the time.
     """
     time = values["t", ""]
-    if node[1] == "lag":
-        now = np.broadcast_to(np.asarray(inside[0], dtype=float), time.shape)
-        passed = np.maximum(np.diff(time, prepend=time[0]), TINY) / max(abs(inside[1]), TINY)
-        slope = np.diff(now, prepend=now[0]) / passed
-        kept = np.exp(-passed)
-        added = now - slope + (slope - np.append(now[0], now[:-1])) * kept
-        first = now
-    else:
-        now = values["q", ""]
-        moved = np.diff(now, prepend=now[0])
-        kept = np.exp(-np.abs(moved) / max(abs(inside[0]), TINY))
-        added = np.sign(moved) * (1 - kept)
-        first = np.zeros_like(now)
+    now = _remembered_input(node, inside, values)
+    before = np.append(now[:1], now[:-1])
+    kept, added = _carried(node, inside, before, now, np.diff(time, prepend=time[:1]))
+    kept = np.where(begins, 0.0, kept)
+    added = np.where(begins, _at_first(node, now), added)
     state = []
     last = 0.0
-    kept = np.where(begins, 0.0, kept)
-    added = np.where(begins, first, added)
     for share, more in zip(kept.tolist(), added.tolist(), strict=True):
         last = share * last + more
         state.append(last)

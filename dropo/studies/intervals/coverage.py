@@ -152,7 +152,8 @@ def coverage(
     data = {}
     remarks = []
     low, high = settings.accepted
-    for robot, noise, method, (trajectories, steps) in cases:
+    for case in cases:
+        robot, noise, method, (trajectories, steps) = case
         own = list(islice(answers, sets[robot]))
         inside = np.array([answer["inside"] for answer in own])
         flagged = float(np.mean([answer["flagged"] for answer in own]))
@@ -162,7 +163,7 @@ def coverage(
         spread = _listed(of_spread.mean(axis=0), len(own))
         extent = f"{trajectories} x {steps}"
         whole = f"{inside.mean():.1%}"
-        label = _label((robot, noise, method, (trajectories, steps)))
+        label = _label(case)
         rows.append((label, f"{len(own)}", extent, method, shown, whole, spread, f"{flagged:.0%}"))
         name = f"{robot}, {noise}, {method}, {extent}"
         sentences = {sentence for answer in own for sentence in answer["sentences"]}
