@@ -66,7 +66,7 @@ from dropo.diagnosis.reporting import (
     verdict_of,
 )
 from dropo.diagnosis.result import Diagnosis, HeldOut
-from dropo.diagnosis.search.aliases import beside_the_rest
+from dropo.diagnosis.search.aliases import beside_numbers, beside_the_rest
 from dropo.diagnosis.search.invariance import invariance
 from dropo.diagnosis.search.library import LAW, instances_for, robot_of
 from dropo.diagnosis.search.linearization import Library
@@ -446,6 +446,8 @@ class Diagnose:
         scales: tuple[UntoldScale, ...] = ()
         if not far_off and not searched.interrupted:
             reviews = beside_the_rest(library, last, searched.reviews)
+            alike = setup.selection.settings.similarity
+            reviews = beside_numbers(library, last, reviews, setup.instances, alike)
             searched = replace(searched, reviews=reviews)
             scales = untold_scales(library, last)
         found = self._causes(setup, searched, of_each, worse.keys(), scales)

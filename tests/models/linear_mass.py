@@ -91,10 +91,17 @@ def measured(hidden, sigma=1e-3, seed=0, episodes=20, steps=40, shake=0.0):
     )
 
 
-def selection(data, declared=False, effects=tuple(EFFECTS), length=5, windows=60):
-    """A search about to begin, and its first state."""
+def loaded_spring():
+    """A spring with a load: the first two effects of a mass, as one of two numbers."""
+    probes = (-0.1, 0.1)
+    sizes = [Quantity(name, "1", -20.0, 20.0, probes) for name in ("stiffness", "load")]
+    return EffectInstance("spring", "mass", tuple(sizes), "rest")
+
+
+def selection(data, declared=False, effects=tuple(EFFECTS), length=5, windows=60, offered=None):
+    """A search about to begin, and its first state; offered: other instances of the effects."""
     simulator = Mass(declared, effects)
-    library = Library(simulator, instances(effects), int(declared))
+    library = Library(simulator, offered or instances(effects), int(declared))
     train, test = split(Problem("mass", simulator, data), length, windows)
     search = Selection(library, np.full(2, 1e-9))
     start = np.concatenate([simulator.nominal, np.zeros(len(effects))])

@@ -8,9 +8,12 @@ from dropo.diagnosis.far_off.model import GAIN, PAYLOAD, FarOffModel, reaching
 from dropo.diagnosis.search.bounds import totals_of
 from dropo.diagnosis.search.library import declared, robot_of
 from dropo.mjmodel.bodies import mass_centre, moving_bodies, moving_mass
+from dropo.mjmodel.joints import joints
 
 OF_ADDED_MASS = (PAYLOAD, "body_mass", "body_com", "body_inertia")
 """Effects of mass that is added to a body: the mass itself, then where it is."""
+SPRING = "joint_stiffness"
+"""The effect whose torque is that of a weight, where a joint moves little."""
 
 
 def as_payloads(model: FarOffModel) -> FarOffModel:
@@ -102,6 +105,48 @@ def is_mass_for_gain(model: FarOffModel, fewer: FarOffModel, left_out: str, made
     after = {one.label: sizes for one, sizes in fewer.numbers if one.effect == GAIN}
     moved = [np.abs(after[label] - sizes).max() for label, sizes in before.items()]
     return bool(max(moved, default=0.0) > made_up)
+
+
+def for_payload(model: FarOffModel, errors: Array, certain: float) -> FarOffModel | None:
+    """Put springs in the place of a payload whose mass motions do not tell.
+
+    Where a joint moves little, the weight of what it carries is a spring; its inertia a rotor takes
+    back.
+
+    Parameters
+    ----------
+    model : FarOffModel
+        Any.
+    errors : (m,) array
+        Standard errors of its numbers.
+    certain : float
+        Number of standard errors from which a mass is told.
+
+    Returns
+    -------
+    FarOffModel or None
+        With a spring of nothing in each joint of the body. None where every payload's mass is told,
+        or the body has no joint that may have one more spring.
+    """
+    simulator = robot_of(model.problem)
+    bodies = {name: body for body, name in moving_bodies(simulator.model)}
+    labels = {one.label for one, _ in model.numbers}
+    for instance, sizes in model.numbers:
+        mass = errors[model.library.indices_of[instance.label][0]]
+        if instance.effect != PAYLOAD or abs(sizes[0]) > certain * mass:
+            continue
+        own = {one.name for one in joints(simulator.model) if one.body == bodies[instance.target]}
+        springs = [
+            one
+            for one in instances_of(simulator.effect_context, SPRING)
+            if one.target in own and not one.variant and one.label not in labels
+        ]
+        free = [one for one in springs if not declared(simulator, one, model.free)]
+        if free:
+            return model.without([instance.label]).with_numbers(
+                [(one, np.zeros(1)) for one in free]
+            )
+    return None
 
 
 def _masses(model: FarOffModel) -> list[Array]:

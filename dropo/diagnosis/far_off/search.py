@@ -11,7 +11,12 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.services.files.evaluation_log import EvaluationLog
 from dropo.core.services.validation import Array
-from dropo.diagnosis.far_off.added_mass import as_payloads, for_gain, is_mass_for_gain
+from dropo.diagnosis.far_off.added_mass import (
+    as_payloads,
+    for_gain,
+    for_payload,
+    is_mass_for_gain,
+)
 from dropo.diagnosis.far_off.families import ALONG_TENDONS, with_families
 from dropo.diagnosis.far_off.model import GAIN, PAYLOAD, FarOffModel, reaching
 from dropo.diagnosis.far_off.motions import LongWindowSettings, Motions, motions_of, outer_spread
@@ -308,6 +313,7 @@ class FarOffSearch:
         model = self._with_payload_for_gain(model, sides)
         model = self._with_payload(model, sides)
         model = self._with_families(model, sides)
+        model = self._with_spring_for_payload(model, sides)
         model = self._with_exact_steps(model, sides)
         model = self._without_needless(model, sides)
         model = self._with_steps_that_last(model, sides)
@@ -487,6 +493,26 @@ class FarOffSearch:
             self.progress(0.6, f"fitting more numbers: {', '.join(refused)}")
             model = self._better(model, with_families(model, refused), sides)
         return model
+
+    def _with_spring_for_payload(self, model: FarOffModel, sides: _Sides) -> FarOffModel:
+        """A spring in the place of a payload whose mass motions do not tell, where these are
+        predicted as well with it: it is fewer numbers. No gain may make up for the rest.
+        """
+        if not any(instance.effect == PAYLOAD for instance, _ in model.numbers):
+            return model
+        error = self._error(model, sides.few)
+        end = error.linearize(model.theta, model.fitted)
+        errors = self._errors(model, error, end, self._prior(model, end, KNOWN))
+        other = for_payload(model, errors, self.settings.certain)
+        if other is None:
+            return model
+        self.progress(0.63, "fitting a spring in the place of a payload")
+        other = self._fit(other, sides.few, self.settings.rough_fit)
+        by_gain = is_mass_for_gain(model, other, PAYLOAD, self.settings.made_up)
+        if by_gain or self._margin(model, other, sides, self.settings.needless) > 0:
+            return model
+        self._latest = other, sides.fitted
+        return other
 
     def _without_needless(self, model: FarOffModel, sides: _Sides) -> FarOffModel:
         """Drop the kinds of effects that data held out do not ask for, one after another.

@@ -262,6 +262,11 @@ def _alternatives(
         effect = other.instance
         alternative = Alternative(effect.effect, effect.target, effect.variant, why, to_tell)
         alternatives.append(alternative)
+    listed = {(other.effect, other.target) for other in alternatives}
+    for name, one, cosine in found.of_numbers:
+        if (one.effect, one.target) not in listed | {(instance.effect, instance.target)}:
+            why = f"in the place of its {name}: similarity {cosine:.3f} beside the rest"
+            alternatives.append(Alternative(one.effect, one.target, one.variant, why))
     for name in instance.alike:
         alternatives.append(Alternative(name, None, "", "the same in any recorded data"))
     return tuple(alternatives)

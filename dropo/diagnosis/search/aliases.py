@@ -1,4 +1,4 @@
-"""Which effects do the same to the data as an accepted one, beside the rest of its set.
+"""Which effects do the same to the data as an accepted one, or one of its numbers, beside the rest.
 
 What the rest of the set can take up does not tell two effects apart. So the cosine of two responses
 is that of what is left of them when those to all other fitted numbers are projected out.
@@ -13,7 +13,12 @@ from dropo.core.contracts.effect import EffectInstance
 from dropo.core.services.validation import Array
 from dropo.diagnosis.search.linearization import Library
 from dropo.diagnosis.search.review import Review
-from dropo.diagnosis.search.screening import SMALLEST_LENGTH, Candidate, project_out
+from dropo.diagnosis.search.screening import (
+    SMALLEST_LENGTH,
+    Candidate,
+    all_probes,
+    project_out,
+)
 from dropo.diagnosis.search.trials import State
 
 
@@ -28,10 +33,13 @@ class AliasSettings:
         beside the rest of the set.
     most : int
         Effects that are compared with an accepted one, at most.
+    batch : int
+        Effects whose responses are held at once.
     """
 
     nearly: float = 0.9
     most: int = 6
+    batch: int = 32
 
 
 SETTINGS = AliasSettings()
@@ -75,6 +83,76 @@ def beside_the_rest(
             jacobian = last.train.flat(library.jacobian(last.theta, last.free, last.train.windows))
         similar = _similar(library, last, instance, others, jacobian)
         found[instance.label] = replace(own, similar=similar)
+    return found
+
+
+def beside_numbers(
+    library: Library,
+    last: State,
+    reviews: Mapping[str, Review],
+    instances: Sequence[EffectInstance],
+    alike: float,
+    settings: AliasSettings = SETTINGS,
+) -> dict[str, Review]:
+    """Compare each number of an accepted effect of several with the effects of one number.
+
+    A spring with a load is one without, beside an offset of its drive.
+
+    Parameters
+    ----------
+    library : Library
+        The simulator with every effect.
+    last : State
+        Where the search ended.
+    reviews : mapping of str to Review
+        By the label of each accepted effect.
+    instances : sequence of EffectInstance
+        The effects that may be causes.
+    alike : float
+        Cosine from which two are alike.
+    settings : AliasSettings
+        How many are simulated at once.
+
+    Returns
+    -------
+    dict of str to Review
+        With `of_numbers`, by a simulation of the windows to fit for each effect of one number.
+    """
+    found = dict(reviews)
+    indices_of = library.indices_of
+    accepted = {one.label for one in last.accepted}
+    several = [one for one in last.accepted if len(one.quantities) > 1]
+    if not several:
+        return found
+    others = [one for one in instances if len(one.quantities) == 1 and one.label not in accepted]
+    others = [one for one in others if one.linear_in is None and not one.variant]
+    train = last.train
+    jacobian = train.flat(library.jacobian(last.theta, last.free, train.windows))
+    own = {}
+    for instance in several:
+        for quantity, index in zip(instance.quantities, indices_of[instance.label], strict=True):
+            rest = jacobian[last.free != index]
+            basis = np.linalg.qr(rest.T)[0] if len(rest) else None
+            row = project_out(jacobian[last.free == index], basis)
+            own[instance.label, quantity.name] = row, basis
+    for start in range(0, len(others), settings.batch):
+        batch = others[start : start + settings.batch]
+        thetas = np.repeat(last.theta[None], len(batch), axis=0)
+        for theta, other in zip(thetas, batch, strict=True):
+            theta[indices_of[other.label]] = all_probes(other)[0][0]
+        changes = train.flat(
+            np.nan_to_num(library.predict(thetas, train.windows) - train.predicted)
+        )
+        for (label, name), (row, basis) in own.items():
+            rows = project_out(changes, basis)
+            lengths = np.linalg.norm(rows, axis=1) * np.linalg.norm(row)
+            cosines = np.abs(rows @ row[0]) / np.maximum(lengths, SMALLEST_LENGTH)
+            more = tuple(
+                (name, other, float(cosine))
+                for other, cosine in zip(batch, cosines, strict=True)
+                if cosine > alike
+            )
+            found[label] = replace(found[label], of_numbers=found[label].of_numbers + more)
     return found
 
 

@@ -8,7 +8,7 @@ import pytest
 from dropo.core.contracts.effect import instances_of
 from dropo.core.contracts.estimator import silent
 from dropo.core.contracts.problem import Problem
-from dropo.diagnosis.far_off.added_mass import as_payloads, for_gain
+from dropo.diagnosis.far_off.added_mass import as_payloads, for_gain, for_payload
 from dropo.diagnosis.far_off.model import FarOffModel
 from dropo.diagnosis.far_off.search import FarOffSearch, FarOffSettings
 from dropo.diagnosis.regression.quick import sides
@@ -89,3 +89,16 @@ def test_a_heavier_body_carries_something_at_its_centre():
     np.testing.assert_allclose(sizes, [0.1, 0.1, 0, 0], atol=1e-12)
     lighter = model_with(data, body_mass=-0.1)
     assert as_payloads(lighter) is lighter
+
+
+def test_a_payload_whose_mass_is_not_told_may_be_a_spring():
+    """A spring of nothing in its joint; none in the place of a mass that is told."""
+    data = recorded(False, np.random.default_rng(0), runs=2, count=100)
+    model = as_payloads(model_with(data, body_mass=0.1, joint_damping=0.2))
+    errors = np.full(len(model.theta), 0.05)
+    other = for_payload(model, errors, 3.0)
+    sizes = {one.label: own for one, own in other.numbers}
+    assert set(sizes) == {"joint_damping:elbow", "joint_stiffness:elbow"}
+    assert sizes["joint_stiffness:elbow"] == 0
+    assert for_payload(model, errors / 10, 3.0) is None
+    assert for_payload(model_with(data, joint_damping=0.2), errors[:1], 3.0) is None

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dropo.diagnosis.search.aliases import AliasSettings, beside_the_rest
+from dropo.diagnosis.search.aliases import AliasSettings, beside_numbers, beside_the_rest
 from dropo.diagnosis.search.plausibility import Plausibility
-from dropo.diagnosis.search.review import ambiguity, review
+from dropo.diagnosis.search.review import Review, ambiguity, review
 from dropo.diagnosis.search.screening import Candidate
 from dropo.diagnosis.search.sets import SetSearch, gram_of
 from dropo.diagnosis.search.trials import Batch
-from tests.models.linear_mass import instances, measured, selection
+from tests.models.linear_mass import EFFECTS, instances, loaded_spring, measured, selection
 
 HIDDEN = {"damping": 0.2, "spring": 0.3}
 
@@ -115,3 +115,18 @@ def test_one_cause_alone_has_no_rest():
     before = search.library.simulator.steps
     assert beside_the_rest(search.library, last, reviews) == reviews
     assert search.library.simulator.steps == before
+
+
+def test_what_one_of_several_numbers_does_is_named(monkeypatch):
+    """A load does what a bias does, and a stiffness what nothing else does."""
+    monkeypatch.setitem(EFFECTS, "push", EFFECTS["bias"])
+    effects = ("spring", "push", "damping", "bias")
+    offered = [loaded_spring(), *instances(effects[2:])]
+    data = measured({"spring": 0.3, "bias": 0.2})
+    search, first = selection(data, effects=effects, offered=offered)
+    (spring,) = (last := search.run(first, first, offered[:2])).accepted
+    reviews = {spring.label: Review(first, None, ())}
+    found = beside_numbers(search.library, last, reviews, offered, 0.98)[spring.label]
+    ((name, other, cosine),) = found.of_numbers
+    assert (name, other.effect) == ("load", "bias")
+    assert cosine > 0.999

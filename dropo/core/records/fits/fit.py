@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dropo.core.numerics.tails import chi2_quantile, student_quantile
+from dropo.core.numerics.tails import chi2_quantile, normal_of_tail, student_quantile
 from dropo.core.records.fits.fit_choices import ExcludedSpans, HorizonChoice, NoiseTuning
 from dropo.core.records.fits.fit_parts import (
     EmulatorCheck,
@@ -304,11 +304,12 @@ class Fit(Report):
 
         A variance is taken for chi-square with the degrees of freedom of the means, as of a sample
         from a Gaussian: so intervals are not symmetric, and their middle allows for the (G - 1) / G
-        of maximum likelihood. Where its standard error is larger, that is put down to noise, which
-        adds to the variance and is subtracted again, or, of a variance larger than its error, to
-        tails heavier than a Gaussian's, which leave fewer degrees: each end is the farther one of
-        the two. They end at 0 and at the width of the search interval. Tails make them too short
-        where units of data are few.
+        of maximum likelihood. Where its standard error is larger, the rest is an independent error
+        to the lower end, whose square is added to that of the sample. To the upper end it is noise,
+        which adds to the variance and is subtracted again, or, of a variance larger than its error,
+        tails heavier than a Gaussian's, which leave fewer degrees: the farther one of the two. They
+        end at 0 and at the width of the search interval. Tails make them too short where units of
+        data are few.
 
         Parameters
         ----------
@@ -325,21 +326,30 @@ class Fit(Report):
         ------
         BadArgument
             For a level that is not between 0 and 1.
+
+        References
+        ----------
+        Zou and Donner, "Construction of confidence limits about effect measures", Statistics in
+        Medicine 27 (2008), eq. 4: the lower end, by the ends of its two parts.
         """
         require(0 < level < 1, "level", "between 0 and 1", level, "Fit.sd_interval")
         count = self._degrees_of_spread()
-        tails = np.array([[(1 + level) / 2], [(1 - level) / 2]])
+        above = (1 + level) / 2
+        below = (1 - level) / 2
         variance = self.sd**2
         error = self._variance_errors()
         with np.errstate(divide="ignore", invalid="ignore"):
-            larger = np.where(np.isinf(count), 1.0, (count + 1) / count)
+            known = np.isinf(count)
+            larger = np.where(known, 1.0, (count + 1) / count)
+            of_sample = np.where(known, 1.0, larger * count / chi2_quantile(above, count))
+            rest = np.sqrt(np.maximum(error**2 - 2 * variance**2 / count, 0.0))
+            low = variance - np.hypot(variance * (1 - of_sample), normal_of_tail(below) * rest)
             fewer = np.minimum(2 * (variance / error) ** 2, count)
             fewer[~(variance > error)] = np.nan
-            by_tails = variance * larger * fewer / chi2_quantile(tails, fewer)
+            by_tails = variance * larger * fewer / chi2_quantile(below, fewer)
             noise = np.maximum(error * np.sqrt(count / 2) - variance, 0.0)
-            by_noise = (variance + noise) * larger * count / chi2_quantile(tails, count) - noise
-            low = np.fmin(by_tails[0], by_noise[0])
-            high = np.fmax(by_tails[1], by_noise[1])
+            by_noise = (variance + noise) * larger * count / chi2_quantile(below, count) - noise
+            high = np.fmax(by_tails, by_noise)
         ends = np.sqrt(np.maximum([low, high], 0.0))
         ends = np.minimum(ends, self.space.high - self.space.low)
         return np.asarray(np.where(np.isfinite(error), ends, np.nan).T)
