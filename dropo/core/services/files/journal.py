@@ -10,6 +10,7 @@ import json
 import os
 import warnings
 import zlib
+from collections.abc import Sequence
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -26,7 +27,9 @@ ENTRY = '"entry": '
 MADE_WITH = "made_with"
 """The header's entry of what a run began with, which decides its last digits alone."""
 LONGEST = 40
-"""Characters of a setting that a message shows."""
+"""Characters of a setting that a message shows ..."""
+MOST_SHOWN = 4
+"""... and of how many settings it does."""
 
 
 class Journal:
@@ -138,7 +141,7 @@ def require_same(path: Path, ours: dict[str, Any], theirs: Any) -> None:
     if differ:
         pairs = describe_differences(ours, before)
         got = f"those of another run{pairs} (use another --out, or the settings of that run)"
-        raise BadFile(path, ", ".join(differ), "the settings of this run", got)
+        raise BadFile(path, _first(differ), "the settings of this run", got)
 
 
 def describe_differences(ours: dict[str, Any], theirs: dict[str, Any]) -> str:
@@ -159,7 +162,14 @@ def describe_differences(ours: dict[str, Any], theirs: dict[str, Any]) -> str:
         there, here = (json.dumps(settings.get(key)) for settings in (theirs, ours))
         if there != here and max(len(there), len(here)) <= LONGEST:
             shown.append(f"{key} {there} there and {here} here")
-    return f": {', '.join(shown)}" if shown else ""
+    return f": {_first(shown)}" if shown else ""
+
+
+def _first(texts: Sequence[str]) -> str:
+    """The first few of some texts, and how many others there are."""
+    more = len(texts) - MOST_SHOWN
+    named = ", ".join(texts[:MOST_SHOWN])
+    return f"{named} and {more} more" if more > 0 else named
 
 
 def read_lines(path: Path, what: str) -> list[Any]:

@@ -151,3 +151,10 @@ def test_settings_that_differ_are_shown(tmp_path):
     theirs = {"seeds": 3, "sum": "b" * 64, "same": 1}
     with pytest.raises(BadFile, match=r"seeds, sum: .*run: seeds 3 there and 5 here .use another"):
         require_same(tmp_path / "run.json", ours, theirs)
+
+
+def test_of_many_settings_that_differ_a_few_are_shown(tmp_path):
+    """And how many others there are."""
+    ours = {f"key_{i}": i for i in range(20)}
+    with pytest.raises(BadFile, match=r"key_1, .* and 16 more: .* there and .* and 16 more .use"):
+        require_same(tmp_path / "run.json", ours, {})
