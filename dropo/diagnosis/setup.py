@@ -287,7 +287,8 @@ class SearchSetup:
                 free[~np.isin(free, self.library.indices_of[label])],
                 kept,
             )
-            reviews[label] = Review(without, None, ())
+            others = tuple(self.explained.alike.get(label, ()))
+            reviews[label] = Review(without, None, (), others=others)
         return first, last, reviews
 
     def certain(self, last: State) -> Set[str]:

@@ -135,7 +135,9 @@ def for_payload(model: FarOffModel, errors: Array, certain: float) -> FarOffMode
         mass = errors[model.library.indices_of[instance.label][0]]
         if instance.effect != PAYLOAD or abs(sizes[0]) > certain * mass:
             continue
-        own = {one.name for one in joints(simulator.model) if one.body == bodies[instance.target]}
+        own = {
+            one.name for one in joints(simulator.model) if one.body == bodies[str(instance.target)]
+        }
         springs = [
             one
             for one in instances_of(simulator.effect_context, SPRING)

@@ -1,11 +1,12 @@
 """What a model that is far off lacks: regression, whole motions, what else these ask for."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dropo.core.contracts.effect import EffectInstance
 from dropo.core.contracts.estimator import Progress
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import Simulator
@@ -157,6 +158,8 @@ class Explained:
         Whether the model's physics steps are those it came with; else more exact ones.
     interrupted : bool
         Whether the search ended before its end.
+    alike : dict of str to list of (EffectInstance, str)
+        By effect's label, what motions bear out as well in its place, and why.
     """
 
     model: FarOffModel
@@ -169,6 +172,7 @@ class Explained:
     fits: bool
     own_steps: bool = True
     interrupted: bool = False
+    alike: Mapping[str, list[tuple[EffectInstance, str]]] = field(default_factory=dict)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -211,6 +215,7 @@ class FarOffSearch:
         # By what model which effects, their sizes and steps were refused beside.
         self._refused: dict[FarOffModel, list[FarOffModel]] = {}
         self._latest: tuple[FarOffModel, Motions] | None = None
+        self._alike: dict[str, list[tuple[EffectInstance, str]]] = {}
         # About what the drives' gains are: as the model has them, until all are fitted by one.
         self._gain = 0.0
 
@@ -285,6 +290,7 @@ class FarOffSearch:
             fits,
             own_steps=model.arithmetic is None,
             interrupted=interrupted,
+            alike=self._alike,
         )
 
     def _search(self, model: FarOffModel, whole: Problem) -> None:
@@ -451,7 +457,7 @@ class FarOffSearch:
             return model
         self.progress(0.27, "fitting a payload in the place of a gain")
         other = self._fit(other, sides.few, self.settings.rough_fit)
-        if self._margin(model, other, sides, self.settings.needless) > 0:
+        if self._lost(model, other, sides) > 0:
             return model
         self._latest = other, sides.fitted
         return other
@@ -509,8 +515,14 @@ class FarOffSearch:
         self.progress(0.63, "fitting a spring in the place of a payload")
         other = self._fit(other, sides.few, self.settings.rough_fit)
         by_gain = is_mass_for_gain(model, other, PAYLOAD, self.settings.made_up)
-        if by_gain or self._margin(model, other, sides, self.settings.needless) > 0:
+        if by_gain or self._lost(model, other, sides) > 0:
             return model
+        if self._lost(other, model, sides) <= 0:
+            why = "motions are predicted as well with it, of a mass that they do not tell"
+            before = {instance.label for instance, _ in model.numbers}
+            after = {instance.label for instance, _ in other.numbers}
+            carried = [(one, why) for one, _ in model.numbers if one.label not in after]
+            self._alike.update(dict.fromkeys(after - before, carried))
         self._latest = other, sides.fitted
         return other
 
@@ -532,10 +544,10 @@ class FarOffSearch:
                 labels = [one.label for one, _ in model.numbers if one.effect == name]
                 theta = _theta_without(model, end, labels)
                 moved = model.at(theta).without(labels)
-                needed = self._margin(model, moved, sides, self.settings.needless) > 0
+                needed = self._lost(model, moved, sides) > 0
                 if needed and name not in self.settings.usual:
                     moved = self._made_up_for(model, moved, sides)
-                    needed = self._margin(model, moved, sides, self.settings.needless) > 0
+                    needed = self._lost(model, moved, sides) > 0
                 made_up = self.settings.made_up
                 if not needed and not is_mass_for_gain(model, moved, name, made_up):
                     loss = self._gains(model, moved, sides.held_out)[0].sum()
@@ -552,7 +564,7 @@ class FarOffSearch:
         """
 
         def margin(one: FarOffModel) -> float:
-            return -self._margin(model, one, sides, self.settings.needless)
+            return -self._lost(model, one, sides)
 
         return self._fit_toward(fewer, sides, margin)
 
@@ -730,6 +742,10 @@ class FarOffSearch:
     def _is_better(self, more: FarOffModel, model: FarOffModel, sides: _Sides) -> bool:
         """Whether windows are predicted clearly better with more numbers."""
         return self._margin(more, model, sides, self.settings.z) > 0
+
+    def _lost(self, model: FarOffModel, other: FarOffModel, sides: _Sides) -> float:
+        """By how much another model predicts windows worse than what is no reason to refuse it."""
+        return self._margin(model, other, sides, self.settings.needless)
 
     def _margin(self, more: FarOffModel, model: FarOffModel, sides: _Sides, z: float) -> float:
         """By how much windows are predicted better with more numbers than what is certain [nats].

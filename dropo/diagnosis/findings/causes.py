@@ -263,10 +263,10 @@ def _alternatives(
         alternative = Alternative(effect.effect, effect.target, effect.variant, why, to_tell)
         alternatives.append(alternative)
     listed = {(other.effect, other.target) for other in alternatives}
-    for name, one, cosine in found.of_numbers:
-        if (one.effect, one.target) not in listed | {(instance.effect, instance.target)}:
-            why = f"in the place of its {name}: similarity {cosine:.3f} beside the rest"
-            alternatives.append(Alternative(one.effect, one.target, one.variant, why))
+    for one, why in found.others:
+        place = (one.effect, one.target)
+        if place not in listed and place != (instance.effect, instance.target):
+            alternatives.append(Alternative(*place, one.variant, why))
     for name in instance.alike:
         alternatives.append(Alternative(name, None, "", "the same in any recorded data"))
     return tuple(alternatives)

@@ -116,7 +116,7 @@ def beside_numbers(
     Returns
     -------
     dict of str to Review
-        With `of_numbers`, by a simulation of the windows to fit for each effect of one number.
+        With `others`, by a simulation of the windows to fit for each effect of one number.
     """
     found = dict(reviews)
     indices_of = library.indices_of
@@ -148,11 +148,11 @@ def beside_numbers(
             lengths = np.linalg.norm(rows, axis=1) * np.linalg.norm(row)
             cosines = np.abs(rows @ row[0]) / np.maximum(lengths, SMALLEST_LENGTH)
             more = tuple(
-                (name, other, float(cosine))
-                for other, cosine in zip(batch, cosines, strict=True)
+                (other, f"in the place of its {name}: similarity {cosine:.3f} beside the rest")
+                for other, cosine in zip(batch, cosines.tolist(), strict=True)
                 if cosine > alike
             )
-            found[label] = replace(found[label], of_numbers=found[label].of_numbers + more)
+            found[label] = replace(found[label], others=found[label].others + more)
     return found
 
 

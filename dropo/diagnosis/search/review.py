@@ -35,16 +35,16 @@ class Review:
     similar : mapping of str to float
         By the label of another effect, how alike its response and this one's are: the cosine of
         both, what the other accepted effects explain projected out. Empty where there are none.
-    of_numbers : tuple of (str, EffectInstance, float)
-        What does the same as one of the effect's several numbers: the number's name, another effect
-        and the cosine of both.
+    others : tuple of (EffectInstance, str)
+        What else the data do not tell from it, and why: what does the same as one of several
+        numbers, or what whole motions bear out as well.
     """
 
     without: State
     origin: Batch | None
     alternatives: Sequence[Trial]
     similar: Mapping[str, float] = field(default_factory=dict)
-    of_numbers: tuple[tuple[str, EffectInstance, float], ...] = ()
+    others: tuple[tuple[EffectInstance, str], ...] = ()
 
 
 def review(selection: Selection, state: State) -> tuple[State, dict[str, Review]]:

@@ -127,6 +127,6 @@ def test_what_one_of_several_numbers_does_is_named(monkeypatch):
     (spring,) = (last := search.run(first, first, offered[:2])).accepted
     reviews = {spring.label: Review(first, None, ())}
     found = beside_numbers(search.library, last, reviews, offered, 0.98)[spring.label]
-    ((name, other, cosine),) = found.of_numbers
-    assert (name, other.effect) == ("load", "bias")
-    assert cosine > 0.999
+    ((other, why),) = found.others
+    assert other.effect == "bias"
+    assert why.startswith("in the place of its load: similarity 1.000")
