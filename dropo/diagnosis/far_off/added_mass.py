@@ -135,19 +135,16 @@ def for_payload(model: FarOffModel, errors: Array, certain: float) -> FarOffMode
         mass = errors[model.library.indices_of[instance.label][0]]
         if instance.effect != PAYLOAD or abs(sizes[0]) > certain * mass:
             continue
-        own = {
-            one.name for one in joints(simulator.model) if one.body == bodies[str(instance.target)]
-        }
+        body = bodies[str(instance.target)]
+        own = {one.name for one in joints(simulator.model) if one.body == body}
         springs = [
-            one
+            (one, np.zeros(1))
             for one in instances_of(simulator.effect_context, SPRING)
             if one.target in own and not one.variant and one.label not in labels
+            if not declared(simulator, one, model.free)
         ]
-        free = [one for one in springs if not declared(simulator, one, model.free)]
-        if free:
-            return model.without([instance.label]).with_numbers(
-                [(one, np.zeros(1)) for one in free]
-            )
+        if springs:
+            return model.without([instance.label]).with_numbers(springs)
     return None
 
 
