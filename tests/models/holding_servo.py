@@ -30,12 +30,13 @@ NOISE = 5e-4  # [rad]
 HELD = 50  # control steps of 20 ms
 
 
-def servo(friction=0.0, holding=False, finer=1, *, gain=0.0, load=0.0):
-    """The arm, with dry friction that creeps or holds, another drive, and a mass at its end."""
+def servo(friction=0.0, holding=False, finer=1, *, gain=0.0, load=0.0, spring=0.0):
+    """The arm, with dry friction that creeps or holds, another drive, a mass at its end, a spring."""
     spec = mujoco.MjSpec.from_string(XML)
     spec.option.timestep /= finer
     (joint,) = spec.joints
     joint.frictionloss = friction
+    joint.stiffness[0] = spring
     (drive,) = spec.actuators
     drive.gainprm = (1 + gain) * np.asarray(drive.gainprm)
     drive.biasprm = (1 + gain) * np.asarray(drive.biasprm)
@@ -48,10 +49,10 @@ def servo(friction=0.0, holding=False, finer=1, *, gain=0.0, load=0.0):
     return MujocoSimulator(spec, [], frame_skip=5 * finer, threads=1)
 
 
-def recorded(holding, rng, *, runs=4, count=600, finer=4, **other):
+def recorded(holding, rng, *, runs=4, count=600, finer=4, reach=0.6, **other):
     """Runs under commands that jump and are held for a second, measured with noise."""
     made = servo(FRICTION, holding, finer, **other)
-    actions = np.repeat(rng.uniform(-0.6, 0.6, (runs * count // HELD, 1)), HELD, axis=0)
+    actions = np.repeat(rng.uniform(-reach, reach, (runs * count // HELD, 1)), HELD, axis=0)
     rest = np.zeros((len(actions), 2))
     ends = np.arange(len(actions)) % count == count - 1
     segments = Trajectories(rest, actions, rest, ends).segments(count, every_step=True)

@@ -93,7 +93,7 @@ def is_mass_for_gain(model: FarOffModel, fewer: FarOffModel, left_out: str, made
     left_out : str
         Their name.
     made_up : float
-        Change of a gain from which it makes up for a mass.
+        By how much more a gain differs from the model's where it makes up for a mass.
 
     Returns
     -------
@@ -103,7 +103,7 @@ def is_mass_for_gain(model: FarOffModel, fewer: FarOffModel, left_out: str, made
         return False
     before = {one.label: sizes for one, sizes in model.numbers if one.effect == GAIN}
     after = {one.label: sizes for one, sizes in fewer.numbers if one.effect == GAIN}
-    moved = [np.abs(after[label] - sizes).max() for label, sizes in before.items()]
+    moved = [(np.abs(after[label]) - np.abs(sizes)).max() for label, sizes in before.items()]
     return bool(max(moved, default=0.0) > made_up)
 
 

@@ -83,7 +83,8 @@ class FarOffSettings:
         Standard deviation of what is known of that scale, and of each drive's gain beside it, where
         motions do not tell it, as where a payload and rotors take up whatever the gain gives.
     made_up : float
-        Change of a gain from which it makes up for a mass that was left out.
+        By how much more a gain differs from the model's where it makes up for a mass that was left
+        out.
     accuracy : float
         Fraction of every number, with what the model has of it, that is added to its error: forces
         are known on the scale of the model's masses and inertias, which are not known better.

@@ -67,6 +67,21 @@ def test_a_strong_drive_is_no_load():
     assert "actuator_gain:servo" in explained.certain
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("hidden", "named"),
+    [({"spring": 0.5}, "joint_stiffness:elbow"), ({"load": 0.1}, "payload:arm")],
+)
+def test_a_spring_is_no_load(hidden, named):
+    """Also where the joint moves little, and a search begins with a load."""
+    data = recorded(False, np.random.default_rng(3), finer=1, reach=0.15, **hidden)
+    begun = as_payloads(model_with(data, body_mass=0.05, joint_friction=0.1))
+    explained = FarOffSearch(FarOffSettings(), silent).run(begun)
+    assert explained.certain == {"joint_friction:elbow", named}
+    friction, error = (float(one[0]) for one in sizes_of(explained)["joint_friction"])
+    assert abs(friction - FRICTION) < 3 * error
+
+
 def test_all_of_a_joint_grows_with_its_load():
     """As much as the weight of the link; a drive that is no weaker has no such load."""
     data = recorded(False, np.random.default_rng(0), runs=2, count=100)
