@@ -31,7 +31,7 @@ HELD = 50  # control steps of 20 ms
 
 
 def servo(friction=0.0, holding=False, finer=1, *, gain=0.0, load=0.0, spring=0.0):
-    """The arm, with dry friction that creeps or holds, another drive, a mass at its end, a spring."""
+    """The arm, with dry friction that creeps or holds, another drive, an end mass, a spring."""
     spec = mujoco.MjSpec.from_string(XML)
     spec.option.timestep /= finer
     (joint,) = spec.joints
