@@ -88,6 +88,7 @@ from dropo.diagnosis.setup import (
     refuse_constant,
 )
 from dropo.diagnosis.solving import (
+    in_exact_steps,
     solved,
     that_may_be_nothing,
     with_another_set,
@@ -582,8 +583,10 @@ class Diagnose:
         # What explains the data in part is no delay that is finer than the model's own steps.
         if not rest.calibrated:
             further = without_short_delays(setup, searched)
-            if further is not None:
-                return further
+        else:
+            further = in_exact_steps(setup, searched)
+        if further is not None:
+            return further
         unsure = that_may_be_nothing(setup.library, searched, self.settings.nothing)
         if unsure is not None:
             return without_worse(setup, searched, *unsure, self.settings.horizons.refused)

@@ -432,6 +432,43 @@ def without_short_delays(
     return setup, replace(searched, last=further, reviews=reviews)
 
 
+def in_exact_steps(
+    setup: SearchSetup, searched: SearchedEffects
+) -> tuple[SearchSetup, SearchedEffects] | None:
+    """Go on in more exact physics steps, where these explain as much as a delay within a step.
+
+    When the delay was accepted, what was missing else may have hidden that.
+
+    Parameters
+    ----------
+    setup : SearchSetup
+        What the search works on.
+    searched : SearchedEffects
+        What it ended with.
+
+    Returns
+    -------
+    tuple of SearchSetup and SearchedEffects or None
+        None where there is no such delay, or it is the better explanation.
+    """
+    if setup.exact or setup.steps_chosen:
+        return None
+    library, last, selection = setup.library, searched.last, setup.selection
+    step = physics_step(robot_of(setup.problem).model)
+    for instance in last.accepted:
+        if short_delay(instance, last.theta[library.indices_of[instance.label]], step) is None:
+            continue
+        alternatives = ArithmeticAlternatives(
+            library, selection.floor, selection.settings, selection.log, searched.first
+        )
+        others = tuple(one for one in last.accepted if one.label != instance.label)
+        with_delay = replace(last, accepted=(*others, instance))
+        if alternatives(searched.reviews[instance.label].without, with_delay):
+            assert alternatives.winner is not None
+            return search_effects(_stepped(setup, alternatives.winner))
+    return None
+
+
 def with_another_set(
     setup: SearchSetup, searched: SearchedEffects, settings: SetSettings
 ) -> tuple[SearchSetup, SearchedEffects] | None:

@@ -10,15 +10,18 @@ import pytest
 from dropo import Diagnose, Problem
 from dropo.core.contracts.effect import instances_of
 from dropo.core.records.trajectories import Trajectories
+from dropo.diagnosis import solving
 from dropo.diagnosis.findings.causes import OF_STEPS, standard_errors
 from dropo.diagnosis.findings.premises.numerics import _share_of_step, short_delay
 from dropo.diagnosis.search.arithmetic import Arithmetic, ArithmeticAlternatives, shift_in_time
 from dropo.diagnosis.search.linearization import Library, linearize, shift_linearization
 from dropo.diagnosis.search.refit import NO_INDICES, refit
+from dropo.diagnosis.search.review import Review
 from dropo.diagnosis.search.selection import Selection
 from dropo.diagnosis.search.trials import penalized_log_likelihood
 from dropo.diagnosis.search.whitening import white
 from dropo.diagnosis.search.windows import split
+from dropo.diagnosis.setup import SearchedEffects, SearchSetup
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 XML = """
@@ -206,6 +209,34 @@ def test_a_delay_below_a_step_must_be_confirmed_over_exact_steps(monkeypatch, wi
         )
     assert alternatives(first, found) is won
     assert alternatives.winner == (exact if won else None)
+
+
+@pytest.mark.parametrize(
+    ("finer", "integrator", "late", "again"),
+    [(4, "mjINT_RK4", 0.0, True), (1, "mjINT_EULER", 0.004, False)],
+)
+def test_a_delay_below_a_step_meets_exact_steps_at_the_end(
+    monkeypatch, finer, integrator, late, again
+):
+    """Of an exact machine the search begins anew in them, whenever the delay was accepted; the
+    control: positions that are 4 ms late are no matter of steps.
+    """
+    problem = recorded(finer, integrator, late)
+    problem = replace(problem, simulator=pendulum(DAMPING))
+    delay, _ = instances_of(problem.simulator.effect_context, "sensor_delay")
+    library = Library(problem.simulator.with_effects([delay]), [delay], 0)
+    search = Selection(library, 1e-3 * NOISE)
+    train, test = split(problem, 10, 20)
+    first = search.begin(train, test, np.zeros(1), white(NOISE), NO_INDICES)
+    last = search.polish(search.try_set(first, np.array([0.004]), (), (delay,), scanned=()))
+    found = SearchedEffects(first, last, {delay.label: Review(first, None, ())})
+    setup = SearchSetup(problem, None, library, search, train, test, NO_INDICES, 1, ())
+    monkeypatch.setattr(solving, "search_effects", lambda anew: (anew, found))
+    further = solving.in_exact_steps(setup, found)
+    assert (further is not None) is again
+    if again:
+        assert further[0].exact
+        assert solving.in_exact_steps(*further) is None
 
 
 def test_shifts_are_the_latest_signals():
