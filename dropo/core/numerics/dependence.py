@@ -144,8 +144,8 @@ def long_run(
         The long-run covariance: that of the innovations, each over 1 less its autoregression's
         coefficients.
     degrees : (m,) array
-        Degrees of freedom of its diagonal, from the variances of the innovations' variance, by
-        their own fourth moment, and of the coefficients' sum.
+        Degrees of freedom of its diagonal, from the variances of the innovations' variance and of
+        the coefficients' sum.
 
     References
     ----------
@@ -172,20 +172,20 @@ def long_run(
     size = np.sqrt(np.diagonal(together))
     size[size == 0] = 1.0
     wanted = np.sqrt([rows * one.long_run for one in found])
-    tails = len(after) * np.sum(white**4, axis=0) / size**4
-    relative = np.maximum(tails - 1, 2) / rows + [one.of_sum for one in found]
+    relative = np.array([one.relative_variance for one in found])
     return together * np.outer(wanted / size, wanted / size), np.maximum(2 / relative, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
 class _Autoregression:
-    """Coefficients (k,), a row's part of the long-run variance, and the relative variance of that
-    part which the coefficients' sum brings.
+    """Coefficients (k,), the variance of innovations, that of a row's share of the sum, and the
+    relative variance of the latter's estimate.
     """
 
     coefficients: Array = field(default_factory=lambda: np.zeros(0))
+    innovation: float = 0.0
     long_run: float = 0.0
-    of_sum: float = 0.0
+    relative_variance: float = 1.0
 
 
 def _autoregression(covariances: Array, rows: int, largest: float) -> _Autoregression:
@@ -210,10 +210,13 @@ def _autoregression(covariances: Array, rows: int, largest: float) -> _Autoregre
             best = coefficients, innovation
     coefficients, innovation = best
     rest = 1 - min(float(coefficients.sum()), largest)
-    lags = np.arange(len(coefficients))
-    told = np.linalg.pinv(covariances[np.abs(np.subtract.outer(lags, lags))], hermitian=True).sum()
-    of_sum = 4 * innovation * max(float(told), 0.0) / (rest**2 * rows)
-    return _Autoregression(coefficients, innovation / rest**2, of_sum)
+    relative = 2 / rows
+    order = len(coefficients)
+    if order:
+        lags = np.abs(np.subtract.outer(np.arange(order), np.arange(order)))
+        told = np.linalg.pinv(covariances[lags], hermitian=True).sum()
+        relative += 4 * innovation * max(float(told), 0.0) / (rest**2 * rows)
+    return _Autoregression(coefficients, innovation, innovation / rest**2, relative)
 
 
 def _products_along(
