@@ -12,7 +12,7 @@ from dropo.likelihoods.support.measured_states import StatesSettings, start_nois
 from dropo.studies.intervals import data_sets
 from dropo.studies.intervals.coverage import FEW
 
-SETS = 40
+SETS = 12
 """Data sets of two long runs."""
 
 
@@ -75,15 +75,13 @@ def of_two_long_runs():
     return np.sqrt(np.mean(np.square(z), axis=0))
 
 
-@pytest.mark.slow
 def test_errors_of_two_long_runs_are_as_large_as_printed():
-    """RMS 1, within 3 standard errors of a standard deviation from 40 sets."""
+    """RMS 1, within 3 standard errors of a standard deviation from 12 sets."""
     assert np.all(np.abs(of_two_long_runs() - 1) < 3 / np.sqrt(2 * SETS))
 
 
-@pytest.mark.slow
 def test_by_rows_they_are_printed_far_too_large(monkeypatch):
     """The control: scores of rows that follow each other all but cancel."""
     by_rows = lambda objective, phi, scores, segments: scores
     monkeypatch.setattr(GaussianRows, "scores_of_states", by_rows)
-    assert 1 - of_two_long_runs()[1] > 3 / np.sqrt(2 * SETS)
+    assert of_two_long_runs()[1] < 0.4

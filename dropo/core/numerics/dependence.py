@@ -1,6 +1,6 @@
 """The variance of a sum over rows that depend on each other."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,16 +15,12 @@ class LongRunSettings:
 
     Attributes
     ----------
-    power : float
-        Orders of autoregressions are at most the number of rows to this power (den Haan and Levin
-        1997).
-    largest : float
-        The largest partial autocorrelation, and the largest sum of an autoregression's
-        coefficients (Andrews and Monahan 1992).
+    largest_autoregression : float
+        Prewhitening takes out no larger first-order autoregression than this (Andrews and Monahan
+        1992).
     """
 
-    power: float = 1 / 3
-    largest: float = 0.97
+    largest_autoregression: float = 0.97
 
 
 SETTINGS = LongRunSettings()
@@ -127,7 +123,9 @@ def long_run(
 ) -> tuple[Array, Array]:
     """Estimate the covariance of the sum of serially dependent rows.
 
-    Each column is taken for an autoregression of its own, whose order Akaike's criterion chooses.
+    Each column is prewhitened by its own first-order autoregression r, its residuals are smoothed
+    by the quadratic spectral kernel with Andrews' automatic bandwidth S, and the autoregression is
+    put back.
 
     Parameters
     ----------
@@ -136,116 +134,81 @@ def long_run(
     series : (R,) array of int
         The series of each row; rows of different series are independent.
     settings : LongRunSettings
-        How large autoregressions may be.
+        How much of their dependence is taken out beforehand.
 
     Returns
     -------
     covariance : (m, m) array
-        The long-run covariance: that of the innovations, each over 1 less its autoregression's
-        coefficients.
+        The long-run covariance.
     degrees : (m,) array
-        Degrees of freedom of its diagonal, from the variances of the innovations' variance and of
-        the coefficients' sum.
+        Degrees of freedom of its diagonal, 2 / (2 S / R + 4 (1 + r) / ((1 - r) R)), from the
+        variances of a kernel estimate and of the autoregression.
 
     References
     ----------
-    den Haan and Levin, "A practitioner's guide to robust covariance matrix estimation", Handbook of
-    Statistics 15 (1997), section 4 (VARHAC); Andrews and Monahan, Econometrica 60 (1992), 953.
+    Andrews, Econometrica 59 (1991), 817, eq. 6.2 and 6.4; Andrews and Monahan, Econometrica 60
+    (1992), 953.
     """
     rows, m = values.shape
-    products, counts = _products_along(values, series, round(rows**settings.power))
-    if len(products) < 2:
+    follows = np.flatnonzero(series[1:] == series[:-1]) + 1  # rows with a row before them
+    if len(follows) < 2:
         return values.T @ values, np.full(m, max(rows - 1.0, 1.0))
-    found = [
-        _autoregression(one / counts, rows, settings.largest) if one[0] > 0 else _Autoregression()
-        for one in products.T
-    ]
-    order = max(len(one.coefficients) for one in found)
-    white = np.zeros((rows, m))
-    after = _rows_after(series, order)
-    for own in _blocks_of(after, m):
-        for column, one in enumerate(found):
-            white[own, column] = values[own, column]
-            for lag, coefficient in enumerate(one.coefficients, start=1):
-                white[own, column] -= coefficient * values[own - lag, column]
-    together = white.T @ white
-    size = np.sqrt(np.diagonal(together))
-    size[size == 0] = 1.0
-    wanted = np.sqrt([rows * one.long_run for one in found])
-    relative = np.array([one.relative_variance for one in found])
-    return together * np.outer(wanted / size, wanted / size), np.maximum(2 / relative, 1.0)
-
-
-@dataclass(frozen=True, eq=False)
-class _Autoregression:
-    """Coefficients (k,), the variance of innovations, that of a row's share of the sum, and the
-    relative variance of the latter's estimate.
-    """
-
-    coefficients: Array = field(default_factory=lambda: np.zeros(0))
-    innovation: float = 0.0
-    long_run: float = 0.0
-    relative_variance: float = 1.0
-
-
-def _autoregression(covariances: Array, rows: int, largest: float) -> _Autoregression:
-    """The autoregression of autocovariances (1 + most,), by the recursion of Levinson and Durbin.
-
-    largest: partial autocorrelation, and sum of coefficients.
-    """
-    coefficients = np.zeros(0)
-    innovation = float(covariances[0])
-    best = coefficients, innovation
-    least = rows * np.log(innovation)
-    for order in range(1, len(covariances)):
-        lagged = covariances[1:order][::-1]
-        partial = float(covariances[order] - coefficients @ lagged) / innovation
-        partial += (1 + 3 * partial) / rows if order == 1 else 0.0  # its bias (Kendall 1954)
-        partial = float(np.clip(partial, -largest, largest))
-        coefficients = np.append(coefficients - partial * coefficients[::-1], partial)
-        innovation *= 1 - partial**2
-        criterion = rows * np.log(innovation) + 2 * order
-        if criterion < least:
-            least = criterion
-            best = coefficients, innovation
-    coefficients, innovation = best
-    rest = 1 - min(float(coefficients.sum()), largest)
-    relative = 2 / rows
-    order = len(coefficients)
-    if order:
-        lags = np.abs(np.subtract.outer(np.arange(order), np.arange(order)))
-        told = np.linalg.pinv(covariances[lags], hermitian=True).sum()
-        relative += 4 * innovation * max(float(told), 0.0) / (rest**2 * rows)
-    return _Autoregression(coefficients, innovation, innovation / rest**2, relative)
-
-
-def _products_along(
-    values: Array, series: NDArray[np.int64], most: int
-) -> tuple[Array, NDArray[np.int64]]:
-    """Sums (1 + k, m) of products of rows with those a lag before, and how many (1 + k,) there are.
-
-    k: the largest lag up to `most` of which there are some.
-    """
-    m = values.shape[1]
-    sums = []
-    counts = []
-    for lag in range(most + 1):
-        later = _rows_after(series, lag)
-        if len(later) < 2:
-            break
-        total = np.zeros(m)
+    largest = settings.largest_autoregression
+    rho = np.clip(_autoregression(values, follows), -largest, largest)
+    # The first row of a series has no row before it: it is scaled to the same variance.
+    white = values.copy()
+    for own in _blocks_of(follows, m):
+        white[own] -= rho * values[own - 1]
+    first = np.setdiff1d(np.arange(rows), follows)
+    white[first] *= np.sqrt(1 - rho**2)
+    width = _bandwidth(white, follows, rows, largest)
+    smooth = white.T @ white
+    for lag in range(1, min(int(np.ceil(6 * width)), rows - 1) + 1):
+        later = np.flatnonzero(series[lag:] == series[:-lag]) + lag
+        product = np.zeros((m, m))
         for own in _blocks_of(later, m):
-            total += np.sum(values[own] * values[own - lag], axis=0)
-        sums.append(total)
-        counts.append(len(later))
-    return np.array(sums), np.array(counts)
+            product += white[own].T @ white[own - lag]
+        smooth += _quadratic_spectral(lag / width) * (product + product.T)
+    recolour = 1 / (1 - rho)
+    relative = 2 * width / rows + 4 * (1 + rho) / ((1 - rho) * rows)
+    return smooth * np.outer(recolour, recolour), np.maximum(2 / relative, 1.0)
 
 
-def _rows_after(series: NDArray[np.int64], lag: int) -> NDArray[np.int64]:
-    """Rows that have so many before them in their series."""
-    return np.flatnonzero(series[lag:] == series[: len(series) - lag]) + lag
+def _autoregression(values: Array, follows: NDArray[np.int64]) -> Array:
+    """First-order coefficients (m,), corrected for their bias -(1 + 3 r) / R (Kendall 1954)."""
+    products, size = _lag_one(values, follows)
+    rho = products / np.where(size > 0, size, 1.0)
+    return rho + (1 + 3 * rho) / len(follows)
+
+
+def _lag_one(values: Array, follows: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Sums (m,) of the products of rows with the row before them, and of these rows' squares."""
+    m = values.shape[1]
+    products = np.zeros(m)
+    squares = np.zeros(m)
+    for own in _blocks_of(follows, m):
+        before = values[own - 1]
+        products += np.sum(values[own] * before, axis=0)
+        squares += np.sum(before**2, axis=0)
+    return products, squares
 
 
 def _blocks_of(rows: NDArray[np.int64], m: int) -> list[NDArray[np.int64]]:
     """Numbers of rows of m columns, in blocks."""
     return [rows[block] for block in row_blocks(len(rows), 32 * m)]
+
+
+def _bandwidth(white: Array, follows: NDArray[np.int64], rows: int, largest: float) -> float:
+    """Andrews' plug-in bandwidth 1.3221 (alpha R)^(1/5), alpha from limited autoregressions."""
+    products, size = _lag_one(white, follows)
+    good = size > 0
+    if not good.any():
+        return 1.0
+    rho = np.clip(products[good] / size[good], -largest, largest)
+    return max(1.0, 1.3221 * float(np.mean(4 * rho**2 / (1 - rho) ** 4) * rows) ** 0.2)
+
+
+def _quadratic_spectral(x: float) -> float:
+    """The quadratic spectral kernel (Andrews 1991, eq. 2.7)."""
+    z = 6 * np.pi * x / 5
+    return float(25 / (12 * np.pi**2 * x**2) * (np.sin(z) / z - np.cos(z)))

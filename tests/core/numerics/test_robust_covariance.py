@@ -62,26 +62,6 @@ def test_the_long_run_covariance_is_that_of_autoregressions(rho, series):
         assert abs(1 - exact) > 0.1 * exact + 4.5 * found.std() / np.sqrt(60)
 
 
-def test_a_score_whose_sign_changes_at_random_is_no_autoregression_of_first_order():
-    """Noise with a memory times forces that are held for five rows: the long-run variance is that
-    of the blocks, within 10 % and 4.5 standard errors over 60 data sets. One lag alone would make
-    it 1.6 times as large.
-    """
-    rng = np.random.default_rng(6)
-    label = np.repeat(np.arange(2), 500)
-    lags = np.arange(-4, 5)
-    exact = float(np.sum((1 - np.abs(lags) / 5) * 0.9 ** np.abs(lags)))
-    found = []
-    for _ in range(60):
-        force = np.repeat(rng.choice([-1.0, 1.0], 200), 5)
-        score = force * autoregression(0.9, 2, 500, rng)
-        found.append(long_run(score[:, None], label)[0][0, 0] / 1000)
-    error = np.std(found) / np.sqrt(60)
-    assert abs(np.mean(found) - exact) < 0.1 * exact + 4.5 * error
-    first = (1 - 1 / 5) * 0.9
-    assert (1 + first) / (1 - first) > 1.1 * exact + 4.5 * error
-
-
 def test_degrees_of_freedom_are_those_of_the_estimate():
     """2 mean^2 / variance of the estimates over 200 data sets lies within a factor of 1.7 of the
     degrees told.
