@@ -26,6 +26,32 @@ class LongRunSettings:
 SETTINGS = LongRunSettings()
 
 
+@dataclass(frozen=True)
+class ResidualSettings:
+    """How far the autocovariances of residuals are followed.
+
+    Attributes
+    ----------
+    power : float
+        Orders of autoregressions are at most the number of rows to this power (den Haan and Levin
+        1997).
+    largest : float
+        The largest partial autocorrelation.
+    small : float
+        Autocorrelations that are smaller count no more ...
+    most : int
+        ... nor those this many rows apart.
+    """
+
+    power: float = 1 / 3
+    largest: float = 0.97
+    small: float = 1e-3
+    most: int = 500
+
+
+RESIDUALS = ResidualSettings()
+
+
 @dataclass(frozen=True, eq=False)
 class Units:
     """Independent units of R rows.
@@ -212,3 +238,90 @@ def _quadratic_spectral(x: float) -> float:
     """The quadratic spectral kernel (Andrews 1991, eq. 2.7)."""
     z = 6 * np.pi * x / 5
     return float(25 / (12 * np.pi**2 * x**2) * (np.sin(z) / z - np.cos(z)))
+
+
+def variance_by_residuals(
+    jacobian: Array,
+    residuals: Array,
+    weights: Array,
+    units: Units,
+    settings: ResidualSettings = RESIDUALS,
+) -> Array:
+    """Estimate the covariance of the sum over rows of J' W r, from how residuals r go on in time.
+
+    The autocovariances of each signal's residuals, as of an autoregression whose order Schwarz's
+    criterion chooses, times the products of Jacobians that are so far apart. These are known: so it
+    holds whatever their signs do, and varies less than what the sums' own rows say. It takes
+    residuals for independent of the Jacobians, and those of other signals for independent.
+
+    Parameters
+    ----------
+    jacobian : (R, p, d) array
+        J of each row.
+    residuals : (R, p) array
+    weights : (p,) array
+        The diagonal of W.
+    units : Units
+        Rows of different units are independent.
+    settings : ResidualSettings
+        How far autocovariances are followed.
+
+    Returns
+    -------
+    (d, d) array
+
+    References
+    ----------
+    den Haan and Levin, "A practitioner's guide to robust covariance matrix estimation", Handbook of
+    Statistics 15 (1997), section 4: autoregressions, here of residuals.
+    """
+    series = units.label[units.order]
+    rows, p, d = jacobian.shape
+    longest = int(np.bincount(series).max())
+    total = np.zeros((d, d))
+    for signal in range(p):
+        along = residuals[units.order, signal]
+        covariances = _autocovariances(along, series, longest, settings)
+        for lag, size in enumerate(weights[signal] ** 2 * covariances):
+            later = np.flatnonzero(series[lag:] == series[: rows - lag]) + lag
+            product = np.zeros((d, d))
+            for own in _blocks_of(later, d):
+                now = jacobian[units.order[own], signal]
+                product += now.T @ jacobian[units.order[own - lag], signal]
+            total += size * (product + product.T) / (1 + (lag == 0))
+    return total
+
+
+def _autocovariances(
+    values: Array, series: NDArray[np.int64], longest: int, settings: ResidualSettings
+) -> Array:
+    """(k,) autocovariances of an autoregression, as far as they are not small."""
+    rows = len(values)
+    products = [float(values @ values) / rows]
+    for lag in range(1, min(round(rows**settings.power), longest - 1) + 1):
+        later = np.flatnonzero(series[lag:] == series[:-lag]) + lag
+        products.append(float(values[later] @ values[later - lag]) / rows)
+    if not products[0] > 0:
+        return np.zeros(1)
+    coefficients = np.zeros(0)
+    innovation = products[0]
+    best = coefficients
+    least = rows * np.log(innovation)
+    for order in range(1, len(products)):
+        lagged = np.array(products[1:order][::-1])
+        partial = (products[order] - float(coefficients @ lagged)) / innovation
+        partial += (1 + 3 * partial) / rows if order == 1 else 0.0  # its bias (Kendall 1954)
+        partial = float(np.clip(partial, -settings.largest, settings.largest))
+        coefficients = np.append(coefficients - partial * coefficients[::-1], partial)
+        innovation *= 1 - partial**2
+        criterion = rows * np.log(innovation) + order * np.log(rows)
+        if criterion < least:
+            least = criterion
+            best = coefficients
+    found = products[: 1 + len(best)]
+    order = len(best)
+    while order and len(found) < min(longest, settings.most):
+        found.append(float(best @ np.array(found[: -order - 1 : -1])))
+        if np.abs(found[-order:]).max() < settings.small * found[0]:
+            break
+    return np.array(found)

@@ -9,7 +9,7 @@ from dropo.core.contracts.family import Family
 from dropo.core.contracts.likelihood import LocalLogLikelihood
 from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.support.mean_prior import MeanPrior, mean_places
-from dropo.core.numerics.dependence import Units, independent, unit_sums
+from dropo.core.numerics.dependence import Units, independent, unit_sums, variance_by_residuals
 from dropo.core.numerics.kept_rows import MEMORY, KeptRows, MemorySettings, keep_rows, row_blocks
 from dropo.core.numerics.linear_gaussian import information_of_units, scores_and_information
 from dropo.core.numerics.robust_covariance import SINGULAR, inverse_information, sandwich
@@ -208,6 +208,11 @@ def _errors_with_step(
     degrees = np.full(2 * d, np.nan)
     variance[kept] = np.diagonal(covariance)
     degrees[kept] = counted
+    if units.serial and not prior and not sd.any():
+        means = np.flatnonzero(kept[:d])
+        sums = variance_by_residuals(jacobian, residuals, 1 / known, units)[np.ix_(means, means)]
+        inverse = inverse_information(information[np.ix_(means, means)])
+        variance[means] = np.diagonal(inverse @ sums @ inverse)
 
     by_likelihood = np.full(2 * d, np.nan)
     inverse = np.linalg.pinv(information[np.ix_(kept, kept)], hermitian=True)
