@@ -208,8 +208,8 @@ def _errors_with_step(
     degrees = np.full(2 * d, np.nan)
     variance[kept] = np.diagonal(covariance)
     degrees[kept] = counted
-    if units.serial and not prior and not sd.any():
-        means = np.flatnonzero(kept[:d])
+    means = np.flatnonzero(np.isfinite(variance[:d]))
+    if units.serial and not prior and not sd.any() and len(means):
         sums = variance_by_residuals(jacobian, residuals, 1 / known, units)[np.ix_(means, means)]
         inverse = inverse_information(information[np.ix_(means, means)])
         variance[means] = np.diagonal(inverse @ sums @ inverse)
