@@ -176,7 +176,7 @@ def long_run(
     (1992), 953.
     """
     rows, m = values.shape
-    follows = np.flatnonzero(series[1:] == series[:-1]) + 1  # rows with a row before them
+    follows = _rows_after(series, 1)
     if len(follows) < 2:
         return values.T @ values, np.full(m, max(rows - 1.0, 1.0))
     largest = settings.largest_autoregression
@@ -190,7 +190,7 @@ def long_run(
     width = _bandwidth(white, follows, rows, largest)
     smooth = white.T @ white
     for lag in range(1, min(int(np.ceil(6 * width)), rows - 1) + 1):
-        later = np.flatnonzero(series[lag:] == series[:-lag]) + lag
+        later = _rows_after(series, lag)
         product = np.zeros((m, m))
         for own in _blocks_of(later, m):
             product += white[own].T @ white[own - lag]
@@ -217,6 +217,11 @@ def _lag_one(values: Array, follows: NDArray[np.int64]) -> tuple[Array, Array]:
         products += np.sum(values[own] * before, axis=0)
         squares += np.sum(before**2, axis=0)
     return products, squares
+
+
+def _rows_after(series: NDArray[np.int64], lag: int) -> NDArray[np.int64]:
+    """Rows that have so many before them in their series."""
+    return np.flatnonzero(series[lag:] == series[: len(series) - lag]) + lag
 
 
 def _blocks_of(rows: NDArray[np.int64], m: int) -> list[NDArray[np.int64]]:
@@ -276,14 +281,14 @@ def variance_by_residuals(
     Statistics 15 (1997), section 4: autoregressions, here of residuals.
     """
     series = units.label[units.order]
-    rows, p, d = jacobian.shape
+    _, p, d = jacobian.shape
     longest = int(np.bincount(series).max())
     total = np.zeros((d, d))
     for signal in range(p):
         along = residuals[units.order, signal]
         covariances = _autocovariances(along, series, longest, settings)
         for lag, size in enumerate(weights[signal] ** 2 * covariances):
-            later = np.flatnonzero(series[lag:] == series[: rows - lag]) + lag
+            later = _rows_after(series, lag)
             product = np.zeros((d, d))
             for own in _blocks_of(later, d):
                 now = jacobian[units.order[own], signal]
@@ -299,7 +304,7 @@ def _autocovariances(
     rows = len(values)
     products = [float(values @ values) / rows]
     for lag in range(1, min(round(rows**settings.power), longest - 1) + 1):
-        later = np.flatnonzero(series[lag:] == series[:-lag]) + lag
+        later = _rows_after(series, lag)
         products.append(float(values[later] @ values[later - lag]) / rows)
     if not products[0] > 0:
         return np.zeros(1)
