@@ -80,7 +80,9 @@ def beside_the_rest(
         if not others:
             continue
         if jacobian is None:
-            jacobian = last.train.flat(library.jacobian(last.theta, last.free, last.train.windows))
+            jacobian = last.train.flat(
+                library.kept_jacobian(last.theta, last.free, last.train.windows)
+            )
         similar = _similar(library, last, instance, others, jacobian)
         found[instance.label] = replace(own, similar=similar)
     return found
@@ -127,7 +129,7 @@ def beside_numbers(
     others = [one for one in instances if len(one.quantities) == 1 and one.label not in accepted]
     others = [one for one in others if one.linear_in is None and not one.variant]
     train = last.train
-    jacobian = train.flat(library.jacobian(last.theta, last.free, train.windows))
+    jacobian = train.flat(library.kept_jacobian(last.theta, last.free, train.windows))
     own = {}
     for instance in several:
         for quantity, index in zip(instance.quantities, indices_of[instance.label], strict=True):
