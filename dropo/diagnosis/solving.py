@@ -411,13 +411,10 @@ def without_short_delays(
     step = physics_step(robot_of(setup.problem).model)
     refused: dict[str, str] = {}
     indices: list[int] = []
-    for instance in last.accepted:
-        own = library.indices_of[instance.label]
-        size = short_delay(instance, last.theta[own], step)
-        if size is not None:
-            without = searched.reviews[instance.label].without
-            refused[instance.label] = refused_delay(instance, size, step, without.test, last.test)
-            indices += own.tolist()
+    for instance, size in _short_delays(library, last, step):
+        without = searched.reviews[instance.label].without
+        refused[instance.label] = refused_delay(instance, size, step, without.test, last.test)
+        indices += library.indices_of[instance.label].tolist()
     if not refused:
         return None
     selection = _without(setup.selection, refused)
@@ -430,6 +427,16 @@ def without_short_delays(
     # More exact steps were tried beside them, and were not better.
     further, reviews = explain(setup, searched.first, selection.polish(begun))
     return setup, replace(searched, last=further, reviews=reviews)
+
+
+def _short_delays(library: Library, last: State, step: float) -> list[tuple[EffectInstance, float]]:
+    """The effects of a model that delay something by less than a physics step, and by how much."""
+    found = []
+    for instance in last.accepted:
+        size = short_delay(instance, last.theta[library.indices_of[instance.label]], step)
+        if size is not None:
+            found.append((instance, size))
+    return found
 
 
 def in_exact_steps(
@@ -455,9 +462,7 @@ def in_exact_steps(
         return None
     library, last, selection = setup.library, searched.last, setup.selection
     step = physics_step(robot_of(setup.problem).model)
-    for instance in last.accepted:
-        if short_delay(instance, last.theta[library.indices_of[instance.label]], step) is None:
-            continue
+    for instance, _ in _short_delays(library, last, step):
         alternatives = ArithmeticAlternatives(
             library, selection.floor, selection.settings, selection.log, searched.first
         )
