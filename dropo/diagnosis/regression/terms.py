@@ -132,9 +132,7 @@ def terms_of(
     return [term for term in found if np.any(np.abs(term.column[equation.used]) > 0)]
 
 
-def _joint_terms(
-    model: Model, joint: Joint, equation: Equation, drive: Drive | None
-) -> list[Term]:
+def _joint_terms(model: Model, joint: Joint, equation: Equation, drive: Drive | None) -> list[Term]:
     """Rotor, friction, spring and offset of one joint, at which a drive may act alone."""
     dof = joint.qvel
     step = physics_step(model)
