@@ -16,7 +16,12 @@ from dropo.diagnosis.findings.causes import standard_errors
 from dropo.diagnosis.findings.limits.scale_of_forces import untold_scales, with_known_scale
 from dropo.diagnosis.findings.premises.numerics import refused_delay, short_delay
 from dropo.diagnosis.parts import Leader
-from dropo.diagnosis.search.arithmetic import HOLDING, Arithmetic, ArithmeticAlternatives
+from dropo.diagnosis.search.arithmetic import (
+    HOLDING,
+    Arithmetic,
+    ArithmeticAlternatives,
+    alternatives_of,
+)
 from dropo.diagnosis.search.bounds import totals_of
 from dropo.diagnosis.search.confirmation import gain_of, is_confirmed
 from dropo.diagnosis.search.known_causes import begin_with
@@ -185,25 +190,41 @@ def _with_holding_friction(
     rubbing = rubs(simulator.model) or not kinds.isdisjoint((*FRICTION, FALLING))
     if setup.explained is not None or found.interrupted or not rubbing or holds(simulator.model):
         return setup, found
-    other = _stepped(setup, HOLDING)
-    selection = other.selection
-    first = other.first()
-    theta, free, accepted = _without_falling(library, last)
-    noise = first.train.whiten.noise
-    state = selection.without_fitting(other.train, other.test, theta, noise, free, accepted)
-    begun = selection.polish(state)
-    settings = selection.settings
-    gain = penalized_log_likelihood(begun) - penalized_log_likelihood(last)
+    settings = setup.selection.settings
     needed = settings.needed_gain(1)
-    if FALLING in kinds:  # what is more usual need not be better
-        asked_for = gain > -settings.usual_margin
-    else:
-        asked_for = gain > needed and is_confirmed(last.test, begun.test, needed, settings)
-    if asked_for:
-        selection.origins = dict(setup.selection.origins)
-        return search_effects(replace(other, begun=(first, begun)))
-    setup.library.simulator.steps = other.library.simulator.steps
-    return setup, found
+    theta, free, accepted = _without_falling(library, last)
+    chosen: SearchSetup | None = None
+    best = last
+    for arithmetic in _holding_steps(setup):
+        other = _stepped(setup, arithmetic)
+        first = other.first()
+        state = other.selection.without_fitting(
+            other.train, other.test, theta, first.train.whiten.noise, free, accepted
+        )
+        begun = other.selection.polish(state)
+        library.simulator.steps = other.library.simulator.steps
+        gain = penalized_log_likelihood(begun) - penalized_log_likelihood(best)
+        # What is more usual than friction that falls need not be better.
+        usual = FALLING in kinds and chosen is None and gain > -settings.usual_margin
+        if usual or (gain > needed and is_confirmed(best.test, begun.test, needed, settings)):
+            chosen = replace(other, begun=(first, begun))
+            best = begun
+    if chosen is None:
+        return setup, found
+    chosen.library.simulator.steps = library.simulator.steps
+    chosen.selection.origins = dict(setup.selection.origins)
+    return search_effects(chosen)
+
+
+def _holding_steps(setup: SearchSetup) -> list[Arithmetic]:
+    """The steps in which dry friction that holds is tried: the model's, and more exact ones.
+
+    How friction turns may show only where the drives' damping is not that of Euler's steps.
+    """
+    if setup.exact:
+        return [HOLDING]
+    exact = alternatives_of(robot_of(setup.problem))[0]
+    return [HOLDING, replace(exact, holding=True)]
 
 
 def _without_falling(
@@ -235,8 +256,9 @@ def _stepped(setup: SearchSetup, arithmetic: Arithmetic) -> SearchSetup:
     """A setup whose simulations are stepped otherwise, and whose search has not begun."""
     library = arithmetic.in_place_of(setup.library)
     library.simulator.steps = setup.library.simulator.steps
-    under = "exact physics steps" if arithmetic.is_exact else "friction that holds what rests"
-    selection = replace(_anew(setup, under), library=library)
+    under = ["exact physics steps"] if arithmetic.is_exact else []
+    under += ["friction that holds what rests"] if arithmetic.holding else []
+    selection = replace(_anew(setup, ", ".join(under)), library=library)
     shown = selection.progress
 
     def progress(share: float, text: str) -> None:

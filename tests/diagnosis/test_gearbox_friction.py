@@ -34,3 +34,20 @@ def test_friction_of_another_kind_than_the_models_is_no_cause(monkeypatch, holdi
     found = Diagnose(effects=effects).run(Problem("servo", servo(FRICTION), data))
     assert found.causes == ()
     assert any("holds what rests" in sentence for sentence in found.numerics) == holding
+
+
+@pytest.mark.slow
+def test_how_friction_turns_may_show_in_more_exact_steps_alone(monkeypatch):
+    """Beside the damping of Euler's steps it does not: they are taken together with it where no
+    search before its end has asked for them. Control: in the model's own steps they are not.
+    """
+    monkeypatch.setattr(solving.ArithmeticAlternatives, "is_preferred", lambda *_: False)
+    monkeypatch.setattr(solving.ArithmeticAlternatives, "__call__", lambda *_: False)
+    data = recorded(True, np.random.default_rng(7))
+    problem = Problem("servo", servo(), data)
+    settings = Diagnose(effects=("joint_friction", "joint_damping"))
+    found = settings.run(problem)
+    assert [cause.effect for cause in found.causes] == ["joint_friction"]
+    assert any('integrator="RK4"' in sentence for sentence in found.numerics)
+    monkeypatch.setattr(solving, "_holding_steps", lambda setup: [solving.HOLDING])
+    assert not any('integrator="RK4"' in sentence for sentence in settings.run(problem).numerics)

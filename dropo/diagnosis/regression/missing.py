@@ -14,7 +14,14 @@ from dropo.diagnosis.regression.alike import (
     term_similarities,
 )
 from dropo.diagnosis.regression.choice import BlockTables, Chooser
-from dropo.diagnosis.regression.fit import GAIN, Fitter, Solution, root_mean_square
+from dropo.diagnosis.regression.fit import (
+    GAIN,
+    LEAST_BETA,
+    Fitter,
+    Solution,
+    root_mean_square,
+)
+from dropo.diagnosis.regression.terms import Drive
 from dropo.mjmodel.joints import actuators
 from dropo.mjmodel.options import physics_step
 from dropo.mjmodel.robot_simulator import RobotSimulator
@@ -142,7 +149,13 @@ class Missing:
             large = large and not self.fitter.equation.floating
             if large and abs(size.value) > least:
                 least = -np.inf
-            add(i, (term.effect, term.target, term.variant), least, **{term.quantity: size})
+            if term.drive is not None:
+                quantity = "bias"
+                size = self._as_bias(size, term.drive)
+                least /= abs(term.drive.per_command)
+            else:
+                quantity = term.quantity
+            add(i, self._places_of(i)[0], least, **{quantity: size})
         payload = solution.payload
         if payload is not None:
             sizes = {"mass": Estimate(payload.mass, errors.pop(0), "kg", None)}
@@ -158,6 +171,16 @@ class Missing:
         if delay.value > 0:
             add("delay", ("actuator_delay", everywhere, ""), physics_step(model), delay=delay)
         return found
+
+    def _as_bias(self, load: Estimate, drive: Drive) -> Estimate:
+        """A joint's load as an offset of the command of its drive, whose gain may be another."""
+        gain = 1 + self.solution.gain
+        for i in self.solution.terms:
+            term = self.fitter.terms[i]
+            if term.effect == "actuator_gain" and term.target == drive.name:
+                gain += float(self.solution.sizes[i])
+        force = max(gain, LEAST_BETA) * drive.per_command
+        return Estimate(load.value / force, load.se / abs(force), "command", None)
 
     def at_bound(self, i: int) -> bool:
         """Tell whether the total of a term's number is 0, the least that it may be.
@@ -371,7 +394,9 @@ class Missing:
         if index != "payload":
             cosines = term_similarities(self.fitter, self.solution, int(index))
             for i, cosine in enumerate(cosines.tolist()):
-                places[self._place_of(i)] = cosine
+                places |= dict.fromkeys(self._places_of(i), cosine)
+            if index != GAIN:  # what else the number itself is
+                places |= dict.fromkeys(self._places_of(int(index))[1:], 1.0)
         if index == "payload" or self.solution.payload is None:
             without = self.without(index)
             for body, cosine in payload_similarities(self.fitter, self.solution, without).items():
@@ -382,15 +407,21 @@ class Missing:
         if index == "payload":
             parts = np.flatnonzero(parts_of_payload(self.fitter, self.solution) > same).tolist()
             why = "a payload of another mass at another place has it too"
-            found += [Alternative(*self._place_of(i), why=why) for i in parts]
+            found += [Alternative(*place, why=why) for i in parts for place in self._places_of(i)]
         return tuple(found)
 
-    def _place_of(self, i: int) -> tuple[str, str | None, str]:
-        """The effect, target and variant of a term; after the last one, of the drives' gain."""
+    def _places_of(self, i: int) -> list[tuple[str, str | None, str]]:
+        """The effect, target and variant of a term; after the last one, of the drives' gain.
+
+        The load of a joint is first of all an offset of its drive.
+        """
         if i == len(self.fitter.terms):
-            return ("actuator_gain", None, "")
+            return [("actuator_gain", None, "")]
         term = self.fitter.terms[i]
-        return (term.effect, term.target, term.variant)
+        own = (term.effect, term.target, term.variant)
+        if term.drive is None:
+            return [own]
+        return [("actuator_bias", term.drive.name, ""), own]
 
     def rivals(self, effect: str) -> tuple[Alternative, ...]:
         """Name the body whose inertial numbers explain as much as a payload and gains together.

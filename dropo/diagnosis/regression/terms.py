@@ -11,10 +11,27 @@ from dropo.diagnosis.regression.equation import Equation, independent_joints, mo
 from dropo.mjmodel.bodies import body_masses, inertia_matrix, mass_centre, moving_bodies
 from dropo.mjmodel.dynamics.body_regressors import point_mass
 from dropo.mjmodel.dynamics.drives import feedback_at
+from dropo.mjmodel.dynamics.forces import linear_drives
 from dropo.mjmodel.joints import Joint, actuators, numbers_of
 from dropo.mjmodel.options import gravity, physics_step
 from dropo.mjmodel.robot_simulator import RobotSimulator
 from dropo.mjmodel.tendons import FixedTendon, moved_by_tendons
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A drive that acts at a joint alone, by a force that is linear in its command.
+
+    Attributes
+    ----------
+    name : str
+        What the model calls it.
+    per_command : float
+        Its force for a command of 1 [N, N m].
+    """
+
+    name: str
+    per_command: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +56,8 @@ class Term:
         Terms of one family are one physical law at several places.
     column : (R, nv) array
         The force that one unit of it needs [N, N m].
+    drive : Drive or None
+        The drive an offset of whose command is the same force.
     """
 
     effect: str
@@ -51,6 +70,7 @@ class Term:
     least: float
     family: str
     column: Array
+    drive: Drive | None = None
 
     @property
     def label(self) -> str:
@@ -94,8 +114,9 @@ def terms_of(
     found: list[Term] = []
     along_tendons = along_tendons and not equation.by_joint
     by_tendon = moved_by_tendons(model) if along_tendons else frozenset()
+    drives = _linear_in_command(model)
     for joint in independent_joints(simulator):
-        own = _joint_terms(model, joint, equation)
+        own = _joint_terms(model, joint, equation, drives.get(joint.qvel))
         found += [term for term in own if joint.qvel not in by_tendon or term.family not in LAWS]
     for line, direction in zip(equation.tendons, equation.along_tendons.T, strict=True):
         if line.driven and along_tendons:
@@ -111,8 +132,8 @@ def terms_of(
     return [term for term in found if np.any(np.abs(term.column[equation.used]) > 0)]
 
 
-def _joint_terms(model: Model, joint: Joint, equation: Equation) -> list[Term]:
-    """Rotor, friction, spring and offset of one joint."""
+def _joint_terms(model: Model, joint: Joint, equation: Equation, drive: Drive | None) -> list[Term]:
+    """Rotor, friction, spring and offset of one joint, at which a drive may act alone."""
     dof = joint.qvel
     step = physics_step(model)
     kp, kv = feedback_at(model, joint)
@@ -129,10 +150,11 @@ def _joint_terms(model: Model, joint: Joint, equation: Equation) -> list[Term]:
         bounded: bool = False,
         least: float = 0.0,
         variant: str = "",
+        drive: Drive | None = None,
     ) -> Term:
         lowest = -(base or 0.0) if bounded else -np.inf
         return Term(
-            effect, joint.name, variant, quantity, unit, lowest, base, least, family, values
+            effect, joint.name, variant, quantity, unit, lowest, base, least, family, values, drive
         )
 
     found = [
@@ -181,6 +203,7 @@ def _joint_terms(model: Model, joint: Joint, equation: Equation) -> list[Term]:
             -equation.column("one", dof),
             "offset",
             variant="rest",
+            drive=drive,
         ),
     ]
     if equation.driven[dof] and not equation.floating:  # what contacts load is not known
@@ -259,6 +282,21 @@ def _lone_drives(model: Model) -> list[tuple[str, int]]:
     for drive in drives:
         if drive.joint is not None and places.count(drive.joint.id) == 1:
             found.append((drive.name, drive.joint.qvel))
+    return found
+
+
+def _linear_in_command(model: Model) -> dict[int, Drive]:
+    """By its degree of freedom, each drive that acts at a joint alone, of the same force per
+    command wherever it is.
+    """
+    places = np.array([[0.0], [1.0]])
+    drives = linear_drives(model, places * np.ones(model.nq), places * np.ones(model.nv))
+    found = {}
+    for name, dof in _lone_drives(model):
+        (place,) = drives.lone[dof]
+        here, there = (drives.gains[:, place] * drives.moments[place, dof]).tolist()
+        if here and here == there:
+            found[dof] = Drive(name, here)
     return found
 
 

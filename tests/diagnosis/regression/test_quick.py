@@ -192,7 +192,19 @@ def test_a_weak_drive_beside_an_offset_elsewhere():
     gains = gains_of(diagnosis)
     assert set(gains) == {"drive2"}
     assert abs(gains["drive2"].value + 0.3) < TOLERANCE * gains["drive2"].se
-    assert ("joint_stiffness", "joint1") in by_label(diagnosis)
+    bias = by_label(diagnosis)["actuator_bias", "drive1"]["bias"]
+    assert abs(bias.value - 0.05) < TOLERANCE * bias.se < 0.02
+
+
+def test_an_offset_of_a_weak_drive_is_one_of_its_command():
+    """In the command's unit, with the drive's own gain; a load of the joint is as likely."""
+    problem = changed(weak_drive([0.0, 0.0, -0.3]), commands=lambda rows: rows - [0, 0, 0.05])
+    diagnosis = QuickDiagnose().run(problem)
+    bias = by_label(diagnosis)["actuator_bias", "drive2"]["bias"]
+    assert abs(bias.value - 0.05) < TOLERANCE * bias.se < 0.02
+    cause = next(one for one in diagnosis.causes if one.effect == "actuator_bias")
+    listed = {(one.effect, one.target, one.variant) for one in cause.confused_with}
+    assert ("joint_stiffness", "joint2", "rest") in listed
 
 
 def test_one_weak_motor_is_no_rotor_beside_friction():
