@@ -17,7 +17,7 @@ from dropo.diagnosis.findings.limits.scale_of_forces import untold_scales, with_
 from dropo.diagnosis.findings.premises.numerics import refused_delay, short_delay
 from dropo.diagnosis.parts import Leader
 from dropo.diagnosis.search.arithmetic import (
-    HOLDING,
+    UNCHANGED,
     Arithmetic,
     ArithmeticAlternatives,
     alternatives_of,
@@ -34,8 +34,8 @@ from dropo.diagnosis.search.sets import SetSearch, SetSettings
 from dropo.diagnosis.search.trials import Batch, State, penalized_log_likelihood
 from dropo.diagnosis.search.whitening import WhitenessSettings, WindowNoise, white
 from dropo.diagnosis.setup import SearchedEffects, SearchSetup
-from dropo.mjmodel.dynamics.holding_friction import holds, rubs
-from dropo.mjmodel.options import physics_step
+from dropo.mjmodel.dynamics.holding_friction import is_of_gears, rubs
+from dropo.mjmodel.options import integrator, physics_step
 
 FRICTION = ("joint_friction", "tendon_friction")
 """Effects that are dry friction, that of joints first."""
@@ -188,7 +188,8 @@ def _with_holding_friction(
     simulator = robot_of(setup.problem)
     kinds = {one.effect for one in last.accepted}
     rubbing = rubs(simulator.model) or not kinds.isdisjoint((*FRICTION, FALLING))
-    if setup.explained is not None or found.interrupted or not rubbing or holds(simulator.model):
+    known = setup.explained is not None or is_of_gears(simulator.model)
+    if found.interrupted or not rubbing or known:
         return setup, found
     settings = setup.selection.settings
     needed = settings.needed_gain(1)
@@ -219,12 +220,17 @@ def _with_holding_friction(
 def _holding_steps(setup: SearchSetup) -> list[Arithmetic]:
     """The steps in which dry friction that holds is tried: the model's, and more exact ones.
 
-    How friction turns may show only where the drives' damping is not that of Euler's steps.
+    How friction turns may show only where the drives' damping is not that of Euler's steps; over
+    how little velocity, in those of Runge and Kutta alone.
     """
-    if setup.exact:
-        return [HOLDING]
-    exact = alternatives_of(robot_of(setup.problem))[0]
-    return [HOLDING, replace(exact, holding=True)]
+    simulator = robot_of(setup.problem)
+    own = integrator(simulator.model)
+    found = []
+    for steps in (UNCHANGED,) if setup.exact else (UNCHANGED, alternatives_of(simulator)[0]):
+        found.append(replace(steps, holding=True))
+        if (steps.integrator or own) == "RK4":
+            found.append(replace(steps, turning=True))
+    return found
 
 
 def _without_falling(
@@ -258,6 +264,7 @@ def _stepped(setup: SearchSetup, arithmetic: Arithmetic) -> SearchSetup:
     library.simulator.steps = setup.library.simulator.steps
     under = ["exact physics steps"] if arithmetic.is_exact else []
     under += ["friction that holds what rests"] if arithmetic.holding else []
+    under += ["friction that turns with the velocity"] if arithmetic.turning else []
     selection = replace(_anew(setup, ", ".join(under)), library=library)
     shown = selection.progress
 

@@ -167,8 +167,13 @@ class RobotSimulator(Simulator):
         """
 
     @abstractmethod
-    def with_holding_friction(self) -> "RobotSimulator":
+    def with_holding_friction(self, turning: bool = False) -> "RobotSimulator":
         """Make the same simulator with dry friction that holds what rests (`hold_friction`).
+
+        Parameters
+        ----------
+        turning : bool
+            Friction that turns over little velocity in its place (`turn_friction`).
 
         Returns
         -------

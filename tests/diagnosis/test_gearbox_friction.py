@@ -6,6 +6,7 @@ import pytest
 from dropo.core.contracts.problem import Problem
 from dropo.diagnosis import solving
 from dropo.diagnosis.diagnose import Diagnose
+from dropo.diagnosis.search.arithmetic import HOLDING
 from tests.models.holding_servo import FRICTION, recorded, servo
 
 
@@ -49,5 +50,15 @@ def test_how_friction_turns_may_show_in_more_exact_steps_alone(monkeypatch):
     found = settings.run(problem)
     assert [cause.effect for cause in found.causes] == ["joint_friction"]
     assert any('integrator="RK4"' in sentence for sentence in found.numerics)
-    monkeypatch.setattr(solving, "_holding_steps", lambda setup: [solving.HOLDING])
+    monkeypatch.setattr(solving, "_holding_steps", lambda setup: [HOLDING])
     assert not any('integrator="RK4"' in sentence for sentence in settings.run(problem).numerics)
+
+
+@pytest.mark.slow
+def test_friction_that_turns_over_little_velocity_is_no_cause():
+    """Of a servo whose model has all of it, in MuJoCo's way, stepped by Euler: that is said."""
+    data = recorded(False, np.random.default_rng(9), finer=1, turning=True)
+    effects = ("joint_friction", "joint_stribeck", "joint_damping")
+    found = Diagnose(effects=effects).run(Problem("servo", servo(FRICTION), data))
+    assert found.causes == ()
+    assert any("turns here over little velocity" in sentence for sentence in found.numerics)

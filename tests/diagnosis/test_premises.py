@@ -139,6 +139,7 @@ def test_long_physics_steps_are_no_cause(servo, monkeypatch):
             assert 'integrator="RK4"' in found.numerics[0]
     for decision in decisions:
         monkeypatch.setattr(ArithmeticAlternatives, decision, refused)
+    monkeypatch.setattr(solving, "_with_holding_friction", lambda setup, found: (setup, found))
     (leader,) = search.run(servo).leaders
     assert (leader.effect, leader.why) == ("actuator_delay", "its size may be 0")
     by_horizons = replace(search, settings=DiagnosisSettings(nothing=0.0))

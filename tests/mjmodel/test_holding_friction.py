@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from dropo.core.records.trajectories import Trajectories
-from dropo.mjmodel.dynamics.holding_friction import hold_friction, holds
+from dropo.mjmodel.dynamics.holding_friction import hold_friction, holds, turns
 from dropo.simulators.mujoco.model_xml import format_model
 from tests.models.holding_servo import FRICTION, servo
 
@@ -63,6 +63,20 @@ def test_mujocos_friction_turns_early_as_its_constraint_says():
     creeps = servo(FRICTION)
     assert early(creeps.with_holding_friction().model) < 1e-3
     assert early(creeps.model) == pytest.approx(0.9 * 0.02 / 2, abs=1e-3)
+
+
+def test_friction_that_turns_is_proportional_to_a_small_velocity():
+    """Up to the friction, which it has from that of two physics steps on."""
+    model = servo(FRICTION, turning=True).model
+    assert turns(model)
+    assert not holds(model)
+    data = mujoco.MjData(model)
+    turning = FRICTION * model.opt.timestep * model.dof_invweight0[0]
+    for share in (-3.0, -0.5, 0.2, 0.9, 3.0):
+        data.qvel[0] = share * turning
+        mujoco.mj_forward(model, data)
+        expected = -FRICTION * np.clip(share, -1, 1)
+        assert data.qfrc_constraint[0] == pytest.approx(expected, abs=0.01 * FRICTION)
 
 
 def test_it_is_written_into_the_mjcf():

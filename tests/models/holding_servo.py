@@ -10,7 +10,7 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Trajectories
 from dropo.diagnosis.far_off.model import FarOffModel
 from dropo.diagnosis.regression.quick import sides
-from dropo.mjmodel.dynamics.holding_friction import IMPEDANCE, SHORTEST
+from dropo.mjmodel.dynamics.holding_friction import IMPEDANCE, SHORTEST, SOFTEST
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 XML = """
@@ -30,8 +30,10 @@ NOISE = 5e-4  # [rad]
 HELD = 50  # control steps of 20 ms
 
 
-def servo(friction=0.0, holding=False, finer=1, *, gain=0.0, load=0.0, spring=0.0):
-    """The arm, with dry friction that creeps or holds, another drive, an end mass, a spring."""
+def servo(friction=0.0, holding=False, finer=1, *, gain=0.0, load=0.0, spring=0.0, turning=False):
+    """The arm, with dry friction that creeps, holds or turns over little velocity (by Runge and
+    Kutta), another drive, an end mass, a spring.
+    """
     spec = mujoco.MjSpec.from_string(XML)
     spec.option.timestep /= finer
     (joint,) = spec.joints
@@ -46,6 +48,10 @@ def servo(friction=0.0, holding=False, finer=1, *, gain=0.0, load=0.0, spring=0.
     if holding:
         joint.solimp_friction[:2] = IMPEDANCE
         joint.solref_friction = (SHORTEST, 1.0)
+    if turning:
+        joint.solimp_friction[:2] = SOFTEST
+        joint.solref_friction = (SHORTEST, 1.0)
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
     return MujocoSimulator(spec, [], frame_skip=5 * finer, threads=1)
 
 

@@ -30,7 +30,7 @@ from dropo.diagnosis.search.linearization import (
 from dropo.diagnosis.search.record import Sides, recorded_sides
 from dropo.diagnosis.search.refit import refit, settle
 from dropo.diagnosis.search.trials import State, penalized_log_likelihood
-from dropo.mjmodel.dynamics.holding_friction import holds, rubs
+from dropo.mjmodel.dynamics.holding_friction import is_of_gears, rubs
 from dropo.mjmodel.options import integrator, physics_step
 from dropo.mjmodel.robot_simulator import RobotSimulator
 
@@ -47,11 +47,14 @@ class Arithmetic:
         Its name in MJCF; the model's own if None.
     holding : bool
         Whether dry friction holds what rests, and turns with the velocity (`hold_friction`).
+    turning : bool
+        Whether it turns over little velocity instead (`turn_friction`).
     """
 
     finer: int
     integrator: str | None = None
     holding: bool = False
+    turning: bool = False
 
     @property
     def is_exact(self) -> bool:
@@ -77,8 +80,8 @@ class Arithmetic:
             Its count of steps begins at 0.
         """
         changed = simulator.with_finer_steps(self.finer)
-        if self.holding:
-            changed = changed.with_holding_friction()
+        if self.holding or self.turning:
+            changed = changed.with_holding_friction(self.turning)
         return changed if self.integrator is None else changed.with_integrator(self.integrator)
 
     def in_place_of(self, library: Library) -> Library:
@@ -104,7 +107,10 @@ class Arithmetic:
         return replace(library, simulator=self.of(robot), coarse=coarse)
 
 
-HOLDING = Arithmetic(1, holding=True)
+UNCHANGED = Arithmetic(1)
+"""The model's own steps."""
+
+HOLDING = replace(UNCHANGED, holding=True)
 """Friction as gearboxes have it, in the model's own steps."""
 
 
@@ -313,7 +319,7 @@ class ArithmeticAlternatives:
     def _alternatives(self, simulator: RobotSimulator) -> tuple[Arithmetic, ...]:
         """What is tried beside an effect, the cheapest first."""
         stepped = () if self.exact else alternatives_of(simulator, self.settings)
-        holding = rubs(simulator.model) and not holds(simulator.model)
+        holding = rubs(simulator.model) and not is_of_gears(simulator.model)
         return (HOLDING, *stepped) if holding else stepped
 
     def _most_promising(

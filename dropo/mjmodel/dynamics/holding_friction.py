@@ -10,6 +10,12 @@ is -2 v / (d T), which a joint that slows down reaches about d T / 2 = 9 ms befo
 a gearbox, whose friction turns with the velocity, that looks like a shorter delay and more damping:
 by 12 % for a servo of 18 N m/rad with a damping of 0.08 N m s/rad and a friction of 0.15 N m.
 
+Near rest a joint with MuJoCo's friction has the force -d m (2 v / (d T) + a), with the acceleration
+a that it would have without friction; above the friction, it slides. With d next to 1 and a short T
+it stays where it rests. With d next to 0 the acceleration does not count: the friction is
+proportional to the velocity up to T F / (2 m), as other engines have it, and as lubricated joints
+do that turn slowly.
+
 References
 ----------
 MuJoCo documentation, "Computation: Constraint model", solver parameters.
@@ -18,8 +24,14 @@ MuJoCo documentation, "Computation: Constraint model", solver parameters.
 import mujoco
 import numpy as np
 
+from dropo.core.services.validation import Array
+
 IMPEDANCE = float(mujoco.mjMAXIMP)
 """The hardest constraint that MuJoCo computes: what creeps is a thousandth of its default."""
+
+
+SOFTEST = float(mujoco.mjMINIMP)
+"""The softest: friction that is proportional to the velocity until a joint slides."""
 
 
 SHORTEST = 1e-4
@@ -38,8 +50,27 @@ def hold_friction(model: mujoco.MjModel) -> None:
         Changed in place: the impedances and time constants of the friction of joints and tendons,
         and the solver.
     """
-    model.dof_solimp[:, :2] = IMPEDANCE
-    model.tendon_solimp_fri[:, :2] = IMPEDANCE
+    _set_friction(model, IMPEDANCE)
+
+
+def turn_friction(model: mujoco.MjModel) -> None:
+    """Make the dry friction of all joints and tendons turn over as little velocity as is stable.
+
+    By MuJoCo that is the friction times two physics steps over twice the inertia. Explicit steps
+    need those of Runge and Kutta for it.
+
+    Parameters
+    ----------
+    model : MjModel
+        Changed in place, as by `hold_friction`.
+    """
+    _set_friction(model, SOFTEST)
+
+
+def _set_friction(model: mujoco.MjModel, impedance: float) -> None:
+    """Sets the impedance of all dry friction, the shortest time constant, and the solver."""
+    model.dof_solimp[:, :2] = impedance
+    model.tendon_solimp_fri[:, :2] = impedance
     model.dof_solref[:] = (_shortest(model), 1.0)
     model.tendon_solref_fri[:] = (_shortest(model), 1.0)
     if not model.neq and not _collides(model):
@@ -58,10 +89,48 @@ def holds(model: mujoco.MjModel) -> bool:
     -------
     bool
     """
-    impedances = np.concatenate([model.dof_solimp[:, :2], model.tendon_solimp_fri[:, :2]])
+    return _is_prompt(model) and bool(np.all(_impedances(model) >= IMPEDANCE))
+
+
+def turns(model: mujoco.MjModel) -> bool:
+    """Tell whether all dry friction of a model, if there is any, is that of `turn_friction`.
+
+    Parameters
+    ----------
+    model : MjModel
+        Any.
+
+    Returns
+    -------
+    bool
+    """
+    return _is_prompt(model) and bool(np.all(_impedances(model) <= SOFTEST))
+
+
+def is_of_gears(model: mujoco.MjModel) -> bool:
+    """Tell whether all dry friction of a model holds, or turns over little velocity.
+
+    Parameters
+    ----------
+    model : MjModel
+        Any.
+
+    Returns
+    -------
+    bool
+    """
+    return holds(model) or turns(model)
+
+
+def _impedances(model: mujoco.MjModel) -> Array:
+    """Of the friction of all joints and tendons."""
+    return np.concatenate([model.dof_solimp[:, :2], model.tendon_solimp_fri[:, :2]])
+
+
+def _is_prompt(model: mujoco.MjModel) -> bool:
+    """Whether the time constants of all friction are the shortest."""
     constants = np.concatenate([model.dof_solref[:, 0], model.tendon_solref_fri[:, 0]])
-    shortest = (constants > 0) & (constants <= _shortest(model))
-    return bool(np.all(impedances >= IMPEDANCE) and np.all(shortest))
+    return bool(np.all((constants > 0) & (constants <= _shortest(model))))
 
 
 def rubs(model: mujoco.MjModel) -> bool:

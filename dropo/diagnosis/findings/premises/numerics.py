@@ -17,7 +17,12 @@ from dropo.diagnosis.search.linearization import Library, LinearizedWindows, shi
 from dropo.diagnosis.search.refit import settle
 from dropo.diagnosis.search.trials import State
 from dropo.diagnosis.search.windows import spread_of
-from dropo.mjmodel.dynamics.holding_friction import holds, impedance, time_constant
+from dropo.mjmodel.dynamics.holding_friction import (
+    impedance,
+    is_of_gears,
+    time_constant,
+    turns,
+)
 from dropo.mjmodel.options import integrator, physics_step
 from dropo.mjmodel.robot_simulator import RobotSimulator
 
@@ -86,15 +91,18 @@ def numerics(
         A sentence each.
     """
     sentences = []
-    if holds(robot_of(found).model) and not holds(robot_of(given).model):
-        own = robot_of(found).model
+    came, own = robot_of(given).model, robot_of(found).model
+    if is_of_gears(own) and not is_of_gears(came):
+        does = "holds what rests here and turns with the velocity"
+        if turns(own):
+            does = "turns here over little velocity"
         sentences.append(
-            "Dry friction holds what rests here and turns with the velocity, where MuJoCo's creeps"
-            f" and turns early: the extended model has solimpfriction {impedance(own):.4f} and"
-            f" solreffriction {time_constant(own):.4f}, which predicts data held out better."
+            f"Dry friction {does}, where MuJoCo's creeps and turns early: the extended model has"
+            f" solimpfriction {impedance(own):.4f} and solreffriction {time_constant(own):.4f},"
+            " which predicts data held out better."
         )
     step = physics_step(robot_of(found).model)
-    sentences += _other_steps(robot_of(given).model, robot_of(found).model)
+    sentences += _other_steps(came, own)
     sentences += [_below_step(cause, step) for cause in causes if _is_below_step(cause, step)]
     moved = _moved_by_step(library, first, last, settings) if causes else 0.0
     if moved > settings.share:
