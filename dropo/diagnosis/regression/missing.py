@@ -21,7 +21,7 @@ from dropo.diagnosis.regression.fit import (
     Solution,
     root_mean_square,
 )
-from dropo.diagnosis.regression.terms import Drive
+from dropo.diagnosis.regression.terms import LoneDrive
 from dropo.mjmodel.joints import actuators
 from dropo.mjmodel.options import physics_step
 from dropo.mjmodel.robot_simulator import RobotSimulator
@@ -172,7 +172,7 @@ class Missing:
             add("delay", ("actuator_delay", everywhere, ""), physics_step(model), delay=delay)
         return found
 
-    def _as_bias(self, load: Estimate, drive: Drive) -> Estimate:
+    def _as_bias(self, load: Estimate, drive: LoneDrive) -> Estimate:
         """A joint's load as an offset of the command of its drive, whose gain may be another."""
         gain = 1 + self.solution.gain
         for i in self.solution.terms:

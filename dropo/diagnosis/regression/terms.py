@@ -19,7 +19,7 @@ from dropo.mjmodel.tendons import FixedTendon, moved_by_tendons
 
 
 @dataclass(frozen=True)
-class Drive:
+class LoneDrive:
     """A drive that acts at a joint alone, by a force that is linear in its command.
 
     Attributes
@@ -56,7 +56,7 @@ class Term:
         Terms of one family are one physical law at several places.
     column : (R, nv) array
         The force that one unit of it needs [N, N m].
-    drive : Drive or None
+    drive : LoneDrive or None
         The drive an offset of whose command is the same force.
     """
 
@@ -70,7 +70,7 @@ class Term:
     least: float
     family: str
     column: Array
-    drive: Drive | None = None
+    drive: LoneDrive | None = None
 
     @property
     def label(self) -> str:
@@ -132,7 +132,9 @@ def terms_of(
     return [term for term in found if np.any(np.abs(term.column[equation.used]) > 0)]
 
 
-def _joint_terms(model: Model, joint: Joint, equation: Equation, drive: Drive | None) -> list[Term]:
+def _joint_terms(
+    model: Model, joint: Joint, equation: Equation, drive: LoneDrive | None
+) -> list[Term]:
     """Rotor, friction, spring and offset of one joint, at which a drive may act alone."""
     dof = joint.qvel
     step = physics_step(model)
@@ -150,7 +152,7 @@ def _joint_terms(model: Model, joint: Joint, equation: Equation, drive: Drive | 
         bounded: bool = False,
         least: float = 0.0,
         variant: str = "",
-        drive: Drive | None = None,
+        drive: LoneDrive | None = None,
     ) -> Term:
         lowest = -(base or 0.0) if bounded else -np.inf
         return Term(
@@ -285,7 +287,7 @@ def _lone_drives(model: Model) -> list[tuple[str, int]]:
     return found
 
 
-def _linear_in_command(model: Model) -> dict[int, Drive]:
+def _linear_in_command(model: Model) -> dict[int, LoneDrive]:
     """By its degree of freedom, each drive that acts at a joint alone, of the same force per
     command wherever it is.
     """
@@ -296,7 +298,7 @@ def _linear_in_command(model: Model) -> dict[int, Drive]:
         (place,) = drives.lone[dof]
         here, there = (drives.gains[:, place] * drives.moments[place, dof]).tolist()
         if here and here == there:
-            found[dof] = Drive(name, here)
+            found[dof] = LoneDrive(name, here)
     return found
 
 
