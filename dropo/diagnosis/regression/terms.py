@@ -291,14 +291,14 @@ def _linear_in_command(model: Model) -> dict[int, LoneDrive]:
     """By its degree of freedom, each drive that acts at a joint alone, of the same force per
     command wherever it is.
     """
-    places = np.array([[0.0], [1.0]])
-    drives = linear_drives(model, places * np.ones(model.nq), places * np.ones(model.nv))
+    two = np.array([[0.0], [1.0]])
+    drives = linear_drives(model, two * np.ones(model.nq), two * np.ones(model.nv))
     found = {}
-    for name, dof in _lone_drives(model):
-        (place,) = drives.lone[dof]
+    for dof, places in drives.lone.items():
+        place = places[0]
         here, there = (drives.gains[:, place] * drives.moments[place, dof]).tolist()
-        if here and here == there:
-            found[dof] = LoneDrive(name, here)
+        if len(places) == 1 and here and here == there:
+            found[dof] = LoneDrive(actuators(model)[place].name, here)
     return found
 
 
