@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Collection
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 
@@ -34,8 +35,9 @@ from dropo.diagnosis.search.sets import SetSearch, SetSettings
 from dropo.diagnosis.search.trials import Batch, State, penalized_log_likelihood
 from dropo.diagnosis.search.whitening import WhitenessSettings, WindowNoise, white
 from dropo.diagnosis.setup import SearchedEffects, SearchSetup
-from dropo.mjmodel.dynamics.holding_friction import is_of_gears, rubs
+from dropo.mjmodel.dynamics.dry_friction import FrictionKind, friction_kind, rubs
 from dropo.mjmodel.options import integrator, physics_step
+from dropo.mjmodel.robot_simulator import RobotSimulator
 
 FRICTION = ("joint_friction", "tendon_friction")
 """Effects that are dry friction, that of joints first."""
@@ -188,8 +190,8 @@ def _with_holding_friction(
     simulator = robot_of(setup.problem)
     kinds = {one.effect for one in last.accepted}
     rubbing = rubs(simulator.model) or not kinds.isdisjoint((*FRICTION, FALLING))
-    known = setup.explained is not None or is_of_gears(simulator.model)
-    if found.interrupted or not rubbing or known:
+    creeping = friction_kind(simulator.model) is FrictionKind.CREEPING
+    if found.interrupted or setup.explained is not None or not (rubbing and creeping):
         return setup, found
     settings = setup.selection.settings
     needed = settings.needed_gain(1)
@@ -197,18 +199,13 @@ def _with_holding_friction(
     chosen: SearchSetup | None = None
     best = last
     for arithmetic in _holding_steps(setup):
-        other = _stepped(setup, arithmetic)
-        first = other.first()
-        state = other.selection.without_fitting(
-            other.train, other.test, theta, first.train.whiten.noise, free, accepted
-        )
-        begun = other.selection.polish(state)
+        other, begun = _going_on(setup, arithmetic, theta, free, accepted)
         library.simulator.steps = other.library.simulator.steps
         gain = penalized_log_likelihood(begun) - penalized_log_likelihood(best)
         # What is more usual than friction that falls need not be better.
         usual = FALLING in kinds and chosen is None and gain > -settings.usual_margin
         if usual or (gain > needed and is_confirmed(best.test, begun.test, needed, settings)):
-            chosen = replace(other, begun=(first, begun))
+            chosen = other
             best = begun
     if chosen is None:
         return setup, found
@@ -227,9 +224,9 @@ def _holding_steps(setup: SearchSetup) -> list[Arithmetic]:
     own = integrator(simulator.model)
     found = []
     for steps in (UNCHANGED,) if setup.exact else (UNCHANGED, alternatives_of(simulator)[0]):
-        found.append(replace(steps, holding=True))
+        found.append(replace(steps, friction=FrictionKind.HOLDING))
         if (steps.integrator or own) == "RK4":
-            found.append(replace(steps, turning=True))
+            found.append(replace(steps, friction=FrictionKind.TURNING))
     return found
 
 
@@ -263,8 +260,7 @@ def _stepped(setup: SearchSetup, arithmetic: Arithmetic) -> SearchSetup:
     library = arithmetic.in_place_of(setup.library)
     library.simulator.steps = setup.library.simulator.steps
     under = ["exact physics steps"] if arithmetic.is_exact else []
-    under += ["friction that holds what rests"] if arithmetic.holding else []
-    under += ["friction that turns with the velocity"] if arithmetic.turning else []
+    under += [] if arithmetic.friction is None else [f"{arithmetic.friction} friction"]
     selection = replace(_anew(setup, ", ".join(under)), library=library)
     shown = selection.progress
 
@@ -283,6 +279,22 @@ def _stepped(setup: SearchSetup, arithmetic: Arithmetic) -> SearchSetup:
         exact=setup.exact or arithmetic.is_exact,
         begun=None,
     )
+
+
+def _going_on(
+    setup: SearchSetup,
+    arithmetic: Arithmetic,
+    theta: Array,
+    free: Ints,
+    accepted: tuple[EffectInstance, ...],
+) -> tuple[SearchSetup, State]:
+    """A setup that is stepped otherwise, and the model that its search begins with, fitted."""
+    other = _stepped(setup, arithmetic)
+    first = other.first()
+    noise = first.train.whiten.noise
+    state = other.selection.without_fitting(other.train, other.test, theta, noise, free, accepted)
+    begun = other.selection.polish(state)
+    return replace(other, begun=(first, begun)), begun
 
 
 def search_effects(setup: SearchSetup) -> tuple[SearchSetup, SearchedEffects]:
@@ -440,7 +452,7 @@ def without_short_delays(
     step = physics_step(robot_of(setup.problem).model)
     refused: dict[str, str] = {}
     indices: list[int] = []
-    for instance, size in _short_delays(library, last, step):
+    for instance, size in _short_delays(library, last):
         without = searched.reviews[instance.label].without
         refused[instance.label] = refused_delay(instance, size, step, without.test, last.test)
         indices += library.indices_of[instance.label].tolist()
@@ -458,8 +470,11 @@ def without_short_delays(
     return setup, replace(searched, last=further, reviews=reviews)
 
 
-def _short_delays(library: Library, last: State, step: float) -> list[tuple[EffectInstance, float]]:
+def _short_delays(library: Library, last: State) -> list[tuple[EffectInstance, float]]:
     """The effects of a model that delay something by less than a physics step, and by how much."""
+    if not isinstance(library.simulator, RobotSimulator):
+        return []
+    step = physics_step(library.simulator.model)
     found = []
     for instance in last.accepted:
         size = short_delay(instance, last.theta[library.indices_of[instance.label]], step)
@@ -490,8 +505,7 @@ def in_exact_steps(
     if setup.exact or setup.steps_chosen:
         return None
     library, last, selection = setup.library, searched.last, setup.selection
-    step = physics_step(robot_of(setup.problem).model)
-    for instance, _ in _short_delays(library, last, step):
+    for instance, _ in _short_delays(library, last):
         alternatives = ArithmeticAlternatives(
             library, selection.floor, selection.settings, selection.log, searched.first
         )
@@ -499,7 +513,13 @@ def in_exact_steps(
         with_delay = replace(last, accepted=(*others, instance))
         if alternatives(searched.reviews[instance.label].without, with_delay):
             assert alternatives.winner is not None
-            return search_effects(_stepped(setup, alternatives.winner))
+            assert alternatives.fitted is not None
+            there = alternatives.fitted
+            other, _ = _going_on(
+                setup, alternatives.winner, there.theta, there.free, there.accepted
+            )
+            other.selection.origins = dict(selection.origins)
+            return search_effects(other)
     return None
 
 
@@ -652,8 +672,9 @@ def that_may_be_nothing(
     tuple of str and Leader, or None
         Its label, and what is said of it. Of an effect that is so many times a shape, the first
         size alone counts. One whose errors have few degrees of freedom is left alone if it is new
-        to the model; numbers that the model has matter in every motion. None where declared
-        parameters are fitted: with a free mass, a size may only grow with it.
+        to the model; numbers that the model has matter in every motion, and so does its physics
+        step, for which a delay that is shorter may stand. None where declared parameters are
+        fitted: with a free mass, a size may only grow with it.
     """
     last = searched.last
     if not last.accepted or bool(np.any(last.free < library.declared)):
@@ -665,7 +686,8 @@ def that_may_be_nothing(
     nothing = np.zeros(len(last.theta))
     own = np.abs(totals_of(library, nothing, last.accepted))[last.free]
     widths = np.where(np.abs(last.theta[last.free]) < SMALL * own, 2.0, 1.0) * widths
-    told = (degrees >= FEWEST_DEGREES) | (own > 0)
+    short = [library.indices_of[one.label] for one, _ in _short_delays(library, last)]
+    told = (degrees >= FEWEST_DEGREES) | (own > 0) | np.isin(last.free, [*chain(*short)])
     half = dict(zip(last.free[told].tolist(), widths[told], strict=True))
     found = []
     for instance in last.accepted:

@@ -19,6 +19,7 @@ from dropo.core.contracts.effect import (
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.records.trajectories import Ints, Segments
 from dropo.core.services.validation import Array
+from dropo.mjmodel.dynamics.dry_friction import FrictionKind
 from dropo.mjmodel.fields import Binding
 from dropo.mjmodel.names import actuator_names
 from dropo.mjmodel.observation import Layout
@@ -167,13 +168,13 @@ class RobotSimulator(Simulator):
         """
 
     @abstractmethod
-    def with_holding_friction(self, turning: bool = False) -> "RobotSimulator":
-        """Make the same simulator with dry friction that holds what rests (`hold_friction`).
+    def with_friction(self, kind: FrictionKind) -> "RobotSimulator":
+        """Make the same simulator with dry friction of a kind (`set_friction_kind`).
 
         Parameters
         ----------
-        turning : bool
-            Friction that turns over little velocity in its place (`turn_friction`).
+        kind : FrictionKind
+            HOLDING or TURNING.
 
         Returns
         -------

@@ -10,7 +10,7 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.records.trajectories import Trajectories
 from dropo.diagnosis.far_off.model import FarOffModel
 from dropo.diagnosis.regression.quick import sides
-from dropo.mjmodel.dynamics.holding_friction import IMPEDANCE, SHORTEST, SOFTEST
+from dropo.mjmodel.dynamics.dry_friction import IMPEDANCE, SHORTEST, SOFTEST
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 
 XML = """

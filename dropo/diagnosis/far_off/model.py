@@ -13,7 +13,7 @@ from dropo.core.services.validation import Array
 from dropo.diagnosis.search.arithmetic import Arithmetic
 from dropo.diagnosis.search.library import robot_of
 from dropo.diagnosis.search.linearization import Library
-from dropo.mjmodel.dynamics.holding_friction import holds
+from dropo.mjmodel.dynamics.dry_friction import FrictionKind, friction_kind
 from dropo.mjmodel.robot_simulator import RobotSimulator
 
 GAIN = "actuator_gain"
@@ -157,19 +157,24 @@ class FarOffModel:
         return replace(self, declared=declared, numbers=tuple(numbers))
 
     @property
-    def holds(self) -> bool:
-        """Whether dry friction, where there is some, holds what rests."""
-        return holds(robot_of(self.problem).model)
+    def friction(self) -> FrictionKind:
+        """What dry friction, where there is some, does near rest."""
+        return friction_kind(robot_of(self.problem).model)
 
-    def with_holding_friction(self) -> "FarOffModel":
-        """Make the model with dry friction that holds what rests.
+    def with_friction(self, kind: FrictionKind) -> "FarOffModel":
+        """Make the model with dry friction of another kind.
+
+        Parameters
+        ----------
+        kind : FrictionKind
+            HOLDING or TURNING.
 
         Returns
         -------
         FarOffModel
             The same numbers, in such a simulator.
         """
-        simulator = robot_of(self.problem).with_holding_friction()
+        simulator = robot_of(self.problem).with_friction(kind)
         return replace(self, problem=replace(self.problem, simulator=simulator))
 
     def with_data_of(self, problem: Problem) -> "FarOffModel":

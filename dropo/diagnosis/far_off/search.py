@@ -29,6 +29,7 @@ from dropo.diagnosis.search.bounds import at_bounds, totals_of
 from dropo.diagnosis.search.library import robot_of
 from dropo.diagnosis.search.linearization import DIVERGED, Library
 from dropo.diagnosis.search.selection import STOPPING
+from dropo.mjmodel.dynamics.dry_friction import FrictionKind
 from dropo.mjmodel.robot_simulator import RobotSimulator
 
 KNOWN = 1e-4
@@ -324,7 +325,9 @@ class FarOffSearch:
         model = self._with_exact_steps(model, sides)
         model = self._without_needless(model, sides)
         model = self._with_steps_that_last(model, sides)
-        if not model.holds and self._is_promised(model, model.with_holding_friction(), sides):
+        holding = model.with_friction(FrictionKind.HOLDING)
+        creeping = model.friction is FrictionKind.CREEPING
+        if creeping and self._is_promised(model, holding, sides):
             model = self._with_holding_friction(model, sides)
         if whole.trajectories is not model.problem.trajectories:
             model = model.with_data_of(whole)
@@ -412,10 +415,10 @@ class FarOffSearch:
 
     def _with_holding_friction(self, model: FarOffModel, sides: _Sides) -> FarOffModel:
         """Dry friction that holds what rests, where motions are clearly better predicted by it."""
-        if model.holds:
+        if model.friction is not FrictionKind.CREEPING:
             return model
         self.progress(0.25, "fitting dry friction that holds what rests")
-        return self._better(model, model.with_holding_friction(), sides)
+        return self._better(model, model.with_friction(FrictionKind.HOLDING), sides)
 
     def _is_promised(self, model: FarOffModel, other: FarOffModel, sides: _Sides) -> bool:
         """Whether numbers that are moved by a linear step would predict motions clearly better in

@@ -360,8 +360,8 @@ def standard_errors(
     -------
     errors : (f,) array
         In the numbers' units. What the data do not tell is anywhere within its bounds. Where the
-        model's own physics steps were found to be too coarse, a quarter of what they would change
-        is part of the errors: exact steps are not exact either, nor is another simulation. Where
+        model's own physics steps were found to be too coarse, what the data leave of a quarter of
+        what they would change is part of the errors: another simulation is not exact either. Where
         the data do not tell them from infinitely short ones, two thirds of what these would change
         are, times the square root of the probability of such: the intervals hold the numbers of a
         machine and of a simulation.
@@ -428,7 +428,7 @@ def _drift_of_steps(library: Library, train: LinearizedWindows, rows: Array) -> 
     rows: (f, N) the whitened responses to the numbers.
     """
     if train.defect is not None:
-        return np.asarray(OF_STEPS * np.linalg.lstsq(rows.T, train.flat(train.defect))[0])
+        return _drift_of_exact_steps(train, train.flat(train.defect), rows)
     simulator = library.simulator
     if not isinstance(simulator, RobotSimulator) or simulator.control_step is None:
         return np.zeros(len(rows))
@@ -441,6 +441,27 @@ def _drift_of_steps(library: Library, train: LinearizedWindows, rows: Array) -> 
     residuals = train.flat(train.residuals)
     loss = 0.5 * float((residuals - left) @ (residuals - left) - residuals @ residuals)
     return np.asarray(OF_OWN_STEPS * np.sqrt(expit(-loss)) * drift)
+
+
+def _drift_of_exact_steps(train: LinearizedWindows, change: Array, rows: Array) -> Array:
+    """The errors (f,) of numbers by how far from exact the steps of the machine may be.
+
+    change (N,): what exact steps change, whitened. A priori OF_STEPS of it are missing; what the
+    numbers do not make up for tells how much, by a score clustered by block.
+    """
+    drift = np.linalg.lstsq(rows.T, change)[0]
+    count = len(train.windows)
+    left = (change - drift @ rows).reshape(count, -1)
+    residuals = train.flat(train.residuals).reshape(count, -1)
+    _, block = np.unique(train.windows.block, return_inverse=True)
+    scores = np.bincount(block, np.einsum("wn,wn->w", left, residuals))
+    information = float(np.sum(left**2))
+    # Of the score: no less than that of independent errors.
+    variance = max(information, float(scores @ scores))
+    told = information**2 / variance if variance > 0 else 0.0
+    apriori = OF_STEPS**-2
+    missing = float(scores.sum()) * information / variance / (apriori + told) if told else 0.0
+    return np.asarray(np.sqrt(missing**2 + 1 / (apriori + told)) * drift)
 
 
 def suspects(selection: Selection, last: State, count: int) -> tuple[Suspect, ...]:

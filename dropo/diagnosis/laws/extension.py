@@ -49,11 +49,11 @@ def extended(selection: Selection, library: Library) -> Selection:
     -------
     Selection
     """
-    batches = {id(one): _padded_batch(one, library) for one in selection.batches}
-    own = replace(selection, library=library, batches=list(batches.values()), origins={})
-    own.origins.update(
-        {label: batches.get(id(one), one) for label, one in selection.origins.items()}
-    )
+    known = {id(one): one for one in (*selection.batches, *selection.origins.values())}
+    padded_ones = {key: _padded_batch(one, library) for key, one in known.items()}
+    batches = [padded_ones[id(one)] for one in selection.batches]
+    origins = {label: padded_ones[id(one)] for label, one in selection.origins.items()}
+    own = replace(selection, library=library, batches=batches, origins=origins)
     own.screening.first_responses.update(selection.screening.first_responses)
     own.screening.counted.update(selection.screening.counted)
     own.screening.first_windows = (

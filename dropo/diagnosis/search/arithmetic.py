@@ -30,7 +30,7 @@ from dropo.diagnosis.search.linearization import (
 from dropo.diagnosis.search.record import Sides, recorded_sides
 from dropo.diagnosis.search.refit import refit, settle
 from dropo.diagnosis.search.trials import State, penalized_log_likelihood
-from dropo.mjmodel.dynamics.holding_friction import is_of_gears, rubs
+from dropo.mjmodel.dynamics.dry_friction import FrictionKind, friction_kind, rubs
 from dropo.mjmodel.options import integrator, physics_step
 from dropo.mjmodel.robot_simulator import RobotSimulator
 
@@ -45,16 +45,13 @@ class Arithmetic:
         Physics steps in the place of one.
     integrator : str or None
         Its name in MJCF; the model's own if None.
-    holding : bool
-        Whether dry friction holds what rests, and turns with the velocity (`hold_friction`).
-    turning : bool
-        Whether it turns over little velocity instead (`turn_friction`).
+    friction : FrictionKind or None
+        What dry friction does near rest; what the model's own does if None.
     """
 
     finer: int
     integrator: str | None = None
-    holding: bool = False
-    turning: bool = False
+    friction: FrictionKind | None = None
 
     @property
     def is_exact(self) -> bool:
@@ -80,8 +77,8 @@ class Arithmetic:
             Its count of steps begins at 0.
         """
         changed = simulator.with_finer_steps(self.finer)
-        if self.holding or self.turning:
-            changed = changed.with_holding_friction(self.turning)
+        if self.friction is not None:
+            changed = changed.with_friction(self.friction)
         return changed if self.integrator is None else changed.with_integrator(self.integrator)
 
     def in_place_of(self, library: Library) -> Library:
@@ -110,7 +107,7 @@ class Arithmetic:
 UNCHANGED = Arithmetic(1)
 """The model's own steps."""
 
-HOLDING = replace(UNCHANGED, holding=True)
+HOLDING = replace(UNCHANGED, friction=FrictionKind.HOLDING)
 """Friction as gearboxes have it, in the model's own steps."""
 
 
@@ -197,8 +194,8 @@ class ArithmeticAlternatives:
         Which alternatives there are.
     winner : Arithmetic or None
         What explained the data better than an effect.
-    reached : float
-        How likely the model is with that, penalized [nats].
+    fitted : State or None
+        The model with that, fitted.
     """
 
     library: Library
@@ -209,7 +206,12 @@ class ArithmeticAlternatives:
     exact: bool = False
     settings: ArithmeticSettings = SETTINGS
     winner: Arithmetic | None = field(init=False, default=None)
-    reached: float = field(init=False, default=np.inf)
+    fitted: State | None = field(init=False, default=None)
+
+    @property
+    def reached(self) -> float:
+        """How likely the model is in the winner's steps, penalized [nats]; inf if none won."""
+        return np.inf if self.fitted is None else penalized_log_likelihood(self.fitted)
 
     @property
     def _robot(self) -> RobotSimulator | None:
@@ -247,19 +249,26 @@ class ArithmeticAlternatives:
         needed = self.selection.needed_gain(len(there))
         needed = max(needed, self.selection.minimum_fraction * gained)
         before = penalized_log_likelihood(state)
-        as_a_step = found is not None and _shifts_within_a_step(self.library, found)
-        of_effect = 0.0
-        if found is not None and not as_a_step:
-            of_effect = penalized_log_likelihood(found) - before
+        more = self.selection.needed_gain(1)
+        of_effect = 0.0 if found is None else penalized_log_likelihood(found) - before
+        of_shift = np.inf
+        shifting = found is not None and _shifts_within_a_step(self.library, found)
+        if shifting:
+            of_effect, of_shift = 0.0, of_effect - more
         # What promises too little on some of the windows to fit is not tried; both sides gain.
         arithmetic, promise = self._most_promising(simulator, state, there)
         if not promise > self.selection.alternative_fraction * max(needed, 0.5 * of_effect):
             return False
 
         def is_better(alternative: State, least: float) -> bool:
-            """Whether windows held out confirm an alternative, and it gains enough on all."""
+            """Whether windows held out confirm an alternative, and it gains enough on all.
+
+            One that explains all windows as a shift within a step does, which was confirmed, need
+            not be confirmed beside the model without either.
+            """
+            gain = penalized_log_likelihood(alternative) - before
             confirmed = is_confirmed(state.test, alternative.test, needed, self.selection)
-            return confirmed and penalized_log_likelihood(alternative) - before >= least
+            return (confirmed or gain > of_shift) and gain >= least
 
         # As of an effect: tried, and fitted to the end where that has a chance.
         tried = self._tried(simulator, arithmetic, state)
@@ -269,12 +278,14 @@ class ArithmeticAlternatives:
         alternative = self._fitted(simulator, arithmetic, state)
         if not is_better(alternative, of_effect):
             return False
-        if found is not None and as_a_step:
-            more = self.selection.needed_gain(1)
-            if is_confirmed(alternative.test, found.test, more, self.selection):
-                return False
+        if (
+            found is not None
+            and shifting
+            and is_confirmed(alternative.test, found.test, more, self.selection)
+        ):
+            return False
         self.winner = self._refined(simulator, arithmetic, alternative, needed)
-        self.reached = penalized_log_likelihood(alternative)
+        self.fitted = alternative
         return True
 
     def is_preferred(self, state: State) -> bool:
@@ -319,8 +330,8 @@ class ArithmeticAlternatives:
     def _alternatives(self, simulator: RobotSimulator) -> tuple[Arithmetic, ...]:
         """What is tried beside an effect, the cheapest first."""
         stepped = () if self.exact else alternatives_of(simulator, self.settings)
-        holding = rubs(simulator.model) and not is_of_gears(simulator.model)
-        return (HOLDING, *stepped) if holding else stepped
+        creeping = friction_kind(simulator.model) is FrictionKind.CREEPING
+        return (HOLDING, *stepped) if creeping and rubs(simulator.model) else stepped
 
     def _most_promising(
         self, simulator: RobotSimulator, state: State, there: Sequence[Arithmetic]

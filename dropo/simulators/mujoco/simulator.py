@@ -27,7 +27,7 @@ from dropo.core.records.trajectories import Ints, Segments
 from dropo.core.services.errors import BadArgument, Incompatible
 from dropo.core.services.validation import Array, require
 from dropo.mjmodel.dynamics.contacts import touching
-from dropo.mjmodel.dynamics.holding_friction import hold_friction, turn_friction
+from dropo.mjmodel.dynamics.dry_friction import FrictionKind, set_friction_kind
 from dropo.mjmodel.fields import MOVES_FRAMES, Binding, FieldParameter, item_columns
 from dropo.mjmodel.files.loading import load_model, specification
 from dropo.mjmodel.held_joints import can_hold, free_joints, hold_joints
@@ -195,8 +195,8 @@ class MujocoSimulator(RobotSimulator):
         out._set_effects(self.effects, self.fixed)
         return out
 
-    def with_holding_friction(self, turning: bool = False) -> "MujocoSimulator":
-        return self._with_model(turn_friction if turning else hold_friction)
+    def with_friction(self, kind: FrictionKind) -> "MujocoSimulator":
+        return self._with_model(partial(set_friction_kind, kind=kind))
 
     def with_held_joints(self, values: Mapping[int, float]) -> "MujocoSimulator | None":
         """Make the same simulator with hinges and slides that stay where they are.

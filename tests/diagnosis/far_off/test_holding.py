@@ -8,6 +8,7 @@ from dropo.core.contracts.estimator import silent
 from dropo.diagnosis.far_off.motions import LongWindowSettings
 from dropo.diagnosis.far_off.search import FarOffSearch, FarOffSettings
 from dropo.diagnosis.search.arithmetic import ArithmeticSettings
+from dropo.mjmodel.dynamics.dry_friction import FrictionKind
 from dropo.mjmodel.options import physics_step
 from tests.models.holding_servo import FRICTION, without_friction
 
@@ -22,7 +23,7 @@ WITHIN = 4.0
 def test_friction_is_found_as_it_was_recorded(holding, seed):
     """Machines that hold and machines that creep, each with a physics step four times finer."""
     found = FarOffSearch(SETTINGS, silent).run(without_friction(holding, seed))
-    assert found.model.holds == holding
+    assert (found.model.friction is FrictionKind.HOLDING) == holding
     assert abs(found.model.theta[0] - FRICTION) < WITHIN * found.errors[0] < 0.3 * FRICTION
 
 

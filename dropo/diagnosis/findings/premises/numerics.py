@@ -17,11 +17,11 @@ from dropo.diagnosis.search.linearization import Library, LinearizedWindows, shi
 from dropo.diagnosis.search.refit import settle
 from dropo.diagnosis.search.trials import State
 from dropo.diagnosis.search.windows import spread_of
-from dropo.mjmodel.dynamics.holding_friction import (
+from dropo.mjmodel.dynamics.dry_friction import (
+    FrictionKind,
+    friction_kind,
     impedance,
-    is_of_gears,
     time_constant,
-    turns,
 )
 from dropo.mjmodel.options import integrator, physics_step
 from dropo.mjmodel.robot_simulator import RobotSimulator
@@ -50,6 +50,12 @@ class NumericsSettings:
 SETTINGS = NumericsSettings()
 OTHER_INTEGRATOR = {"Euler": "implicitfast", "implicit": "Euler", "implicitfast": "Euler"}
 """By a model's integrator, one that damps otherwise; Runge-Kutta has none."""
+
+DOES = {
+    FrictionKind.HOLDING: "holds what rests here and turns with the velocity",
+    FrictionKind.TURNING: "turns here over little velocity",
+}
+"""What dry friction does that is not MuJoCo's own."""
 
 
 def numerics(
@@ -92,14 +98,11 @@ def numerics(
     """
     sentences = []
     came, own = robot_of(given).model, robot_of(found).model
-    if is_of_gears(own) and not is_of_gears(came):
-        does = "holds what rests here and turns with the velocity"
-        if turns(own):
-            does = "turns here over little velocity"
+    if friction_kind(own) is not friction_kind(came):
         sentences.append(
-            f"Dry friction {does}, where MuJoCo's creeps and turns early: the extended model has"
-            f" solimpfriction {impedance(own):.4f} and solreffriction {time_constant(own):.4f},"
-            " which predicts data held out better."
+            f"Dry friction {DOES[friction_kind(own)]}, where MuJoCo's creeps and turns early: the"
+            f" extended model has solimpfriction {impedance(own):.4f} and solreffriction"
+            f" {time_constant(own):.4f}, which predicts data held out better."
         )
     step = physics_step(robot_of(found).model)
     sentences += _other_steps(came, own)

@@ -1,11 +1,11 @@
-"""Dry friction that holds what rests, and the creeping of MuJoCo's own."""
+"""Three kinds of dry friction."""
 
 import mujoco
 import numpy as np
 import pytest
 
 from dropo.core.records.trajectories import Trajectories
-from dropo.mjmodel.dynamics.holding_friction import hold_friction, holds, turns
+from dropo.mjmodel.dynamics.dry_friction import FrictionKind, friction_kind, set_friction_kind
 from dropo.simulators.mujoco.model_xml import format_model
 from tests.models.holding_servo import FRICTION, servo
 
@@ -34,9 +34,9 @@ def test_mujocos_friction_creeps_as_its_constraint_says():
 def test_friction_that_holds_does_not_creep():
     """A thousandth of it is left; the simulator that it was made of creeps as before."""
     creeps = servo(2 * FRICTION)
-    held = creeps.with_holding_friction()
-    assert holds(held.model)
-    assert not holds(creeps.model)
+    held = creeps.with_friction(FrictionKind.HOLDING)
+    assert friction_kind(held.model) is FrictionKind.HOLDING
+    assert friction_kind(creeps.model) is FrictionKind.CREEPING
     assert abs(creeping(held)) < 2e-3 * creeping(creeps)
 
 
@@ -59,17 +59,16 @@ def early(model):
 
 
 def test_mujocos_friction_turns_early_as_its_constraint_says():
-    """By d T / 2; that of `hold_friction` hardly does."""
+    """By d T / 2; one that holds hardly does."""
     creeps = servo(FRICTION)
-    assert early(creeps.with_holding_friction().model) < 1e-3
+    assert early(creeps.with_friction(FrictionKind.HOLDING).model) < 1e-3
     assert early(creeps.model) == pytest.approx(0.9 * 0.02 / 2, abs=1e-3)
 
 
 def test_friction_that_turns_is_proportional_to_a_small_velocity():
     """Up to the friction, which it has from that of two physics steps on."""
     model = servo(FRICTION, turning=True).model
-    assert turns(model)
-    assert not holds(model)
+    assert friction_kind(model) is FrictionKind.TURNING
     data = mujoco.MjData(model)
     turning = FRICTION * model.opt.timestep * model.dof_invweight0[0]
     for share in (-3.0, -0.5, 0.2, 0.9, 3.0):
@@ -81,9 +80,10 @@ def test_friction_that_turns_is_proportional_to_a_small_velocity():
 
 def test_it_is_written_into_the_mjcf():
     """A model that is read again holds as well."""
-    text = format_model(servo(FRICTION).with_holding_friction())
-    assert holds(mujoco.MjModel.from_xml_string(text))
-    assert not holds(mujoco.MjModel.from_xml_string(format_model(servo(FRICTION))))
+    text = format_model(servo(FRICTION).with_friction(FrictionKind.HOLDING))
+    assert friction_kind(mujoco.MjModel.from_xml_string(text)) is FrictionKind.HOLDING
+    model = mujoco.MjModel.from_xml_string(format_model(servo(FRICTION)))
+    assert friction_kind(model) is FrictionKind.CREEPING
 
 
 TWO_LINKS = """
@@ -106,7 +106,7 @@ TWO_LINKS = """
 def pushed(solver=None):
     """Angles (2000, 2) of two links with friction that holds, pushed to and fro, and the solver."""
     model = mujoco.MjModel.from_xml_string(TWO_LINKS)
-    hold_friction(model)
+    set_friction_kind(model, FrictionKind.HOLDING)
     own = model.opt.solver
     if solver is not None:
         model.opt.solver = solver
@@ -126,4 +126,5 @@ def test_gauss_and_seidel_solve_friction_as_newton_does():
     by_newton, _ = pushed(mujoco.mjtSolver.mjSOL_NEWTON)
     assert np.ptp(angles) > 1.0
     np.testing.assert_allclose(angles, by_newton, atol=1e-6)
-    assert servo(FRICTION).with_holding_friction().model.opt.solver == mujoco.mjtSolver.mjSOL_NEWTON
+    touching = servo(FRICTION).with_friction(FrictionKind.HOLDING)
+    assert touching.model.opt.solver == mujoco.mjtSolver.mjSOL_NEWTON

@@ -1,4 +1,4 @@
-"""Dry friction that holds what rests, and turns with the velocity.
+"""Three kinds of dry friction: MuJoCo's, one that holds what rests, one that turns promptly.
 
 MuJoCo's friction is a soft constraint: under a load F below the friction, a joint does not rest but
 creeps with the speed (1 - d) F T / (2 m), with the constraint's impedance d = 0.9 and time constant
@@ -21,10 +21,10 @@ References
 MuJoCo documentation, "Computation: Constraint model", solver parameters.
 """
 
+from enum import StrEnum
+
 import mujoco
 import numpy as np
-
-from dropo.core.services.validation import Array
 
 IMPEDANCE = float(mujoco.mjMAXIMP)
 """The hardest constraint that MuJoCo computes: what creeps is a thousandth of its default."""
@@ -38,8 +38,25 @@ SHORTEST = 1e-4
 """A time constant [s] below those that MuJoCo takes: at least two physics steps."""
 
 
-def hold_friction(model: mujoco.MjModel) -> None:
-    """Make the dry friction of all joints and tendons hold what rests, and turn with the velocity.
+class FrictionKind(StrEnum):
+    """What the dry friction of a model's joints and tendons does near rest.
+
+    CREEPING is MuJoCo's own, with whatever numbers a model has. HOLDING holds what rests, and turns
+    with the velocity. TURNING is proportional to the velocity up to as little of it as is stable:
+    by MuJoCo the friction times two physics steps over twice the inertia. Explicit steps need those
+    of Runge and Kutta for it.
+    """
+
+    CREEPING = "creeping"
+    HOLDING = "holding"
+    TURNING = "turning"
+
+
+_IMPEDANCES = {FrictionKind.HOLDING: IMPEDANCE, FrictionKind.TURNING: SOFTEST}
+
+
+def set_friction_kind(model: mujoco.MjModel, kind: FrictionKind) -> None:
+    """Make the dry friction of all joints and tendons one of a kind.
 
     Where such friction and stops are all that constrains the model, Gauss and Seidel's solver is
     faster than Newton's, and both come to the same forces.
@@ -49,26 +66,10 @@ def hold_friction(model: mujoco.MjModel) -> None:
     model : MjModel
         Changed in place: the impedances and time constants of the friction of joints and tendons,
         and the solver.
+    kind : FrictionKind
+        Not CREEPING, which has no numbers of its own.
     """
-    _set_friction(model, IMPEDANCE)
-
-
-def turn_friction(model: mujoco.MjModel) -> None:
-    """Make the dry friction of all joints and tendons turn over as little velocity as is stable.
-
-    By MuJoCo that is the friction times two physics steps over twice the inertia. Explicit steps
-    need those of Runge and Kutta for it.
-
-    Parameters
-    ----------
-    model : MjModel
-        Changed in place, as by `hold_friction`.
-    """
-    _set_friction(model, SOFTEST)
-
-
-def _set_friction(model: mujoco.MjModel, impedance: float) -> None:
-    """Sets the impedance of all dry friction, the shortest time constant, and the solver."""
+    impedance = _IMPEDANCES[kind]
     model.dof_solimp[:, :2] = impedance
     model.tendon_solimp_fri[:, :2] = impedance
     model.dof_solref[:] = (_shortest(model), 1.0)
@@ -77,8 +78,8 @@ def _set_friction(model: mujoco.MjModel, impedance: float) -> None:
         model.opt.solver = mujoco.mjtSolver.mjSOL_PGS
 
 
-def holds(model: mujoco.MjModel) -> bool:
-    """Tell whether all dry friction of a model, if there is any, is that of `hold_friction`.
+def friction_kind(model: mujoco.MjModel) -> FrictionKind:
+    """Tell which kind of dry friction a model has, or would have.
 
     Parameters
     ----------
@@ -87,50 +88,18 @@ def holds(model: mujoco.MjModel) -> bool:
 
     Returns
     -------
-    bool
+    FrictionKind
+        That of `set_friction_kind` if the friction of all joints and tendons is of that kind.
     """
-    return _is_prompt(model) and bool(np.all(_impedances(model) >= IMPEDANCE))
-
-
-def turns(model: mujoco.MjModel) -> bool:
-    """Tell whether all dry friction of a model, if there is any, is that of `turn_friction`.
-
-    Parameters
-    ----------
-    model : MjModel
-        Any.
-
-    Returns
-    -------
-    bool
-    """
-    return _is_prompt(model) and bool(np.all(_impedances(model) <= SOFTEST))
-
-
-def is_of_gears(model: mujoco.MjModel) -> bool:
-    """Tell whether all dry friction of a model holds, or turns over little velocity.
-
-    Parameters
-    ----------
-    model : MjModel
-        Any.
-
-    Returns
-    -------
-    bool
-    """
-    return holds(model) or turns(model)
-
-
-def _impedances(model: mujoco.MjModel) -> Array:
-    """Of the friction of all joints and tendons."""
-    return np.concatenate([model.dof_solimp[:, :2], model.tendon_solimp_fri[:, :2]])
-
-
-def _is_prompt(model: mujoco.MjModel) -> bool:
-    """Whether the time constants of all friction are the shortest."""
     constants = np.concatenate([model.dof_solref[:, 0], model.tendon_solref_fri[:, 0]])
-    return bool(np.all((constants > 0) & (constants <= _shortest(model))))
+    if not np.all((constants > 0) & (constants <= _shortest(model))):
+        return FrictionKind.CREEPING
+    impedances = np.concatenate([model.dof_solimp[:, :2], model.tendon_solimp_fri[:, :2]])
+    if np.all(impedances >= IMPEDANCE):
+        return FrictionKind.HOLDING
+    if np.all(impedances <= SOFTEST):
+        return FrictionKind.TURNING
+    return FrictionKind.CREEPING
 
 
 def rubs(model: mujoco.MjModel) -> bool:
