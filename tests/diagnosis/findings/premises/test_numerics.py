@@ -16,7 +16,7 @@ from dropo.diagnosis.findings.premises.numerics import _share_of_step, short_del
 from dropo.diagnosis.search.arithmetic import Arithmetic, ArithmeticAlternatives, shift_in_time
 from dropo.diagnosis.search.linearization import Library, linearize, shift_linearization
 from dropo.diagnosis.search.refit import NO_INDICES, refit
-from dropo.diagnosis.search.review import Review
+from dropo.diagnosis.search.review import Review, reviews_so_far
 from dropo.diagnosis.search.selection import Selection
 from dropo.diagnosis.search.trials import penalized_log_likelihood
 from dropo.diagnosis.search.whitening import white
@@ -209,17 +209,9 @@ def test_a_delay_below_a_step_must_be_confirmed_over_exact_steps(monkeypatch, wi
     """Steps that are nearly as likely win against such a delay, for they cost no assumption; the
     control: against one that is no shorter than a step they do not.
     """
-    problem = recorded(1, "mjINT_EULER", late=0.004)
-    delay, _ = instances_of(problem.simulator.effect_context, "sensor_delay")
-    library = Library(pendulum(DAMPING).with_effects([delay]), [delay], 0)
-    search = Selection(library, 1e-3 * NOISE)
-    train, test = split(problem, 10, 20)
-    first = search.begin(train, test, np.zeros(1), white(NOISE), NO_INDICES)
-    found = search.try_set(first, np.array([0.004]), (), (delay,), scanned=())
-    noise = found.train.whiten.noise
-    sides = (found.train, found.test)
-    at = [shift_linearization(library, side, 0.998 * found.theta, noise) for side in sides]
-    nearly = replace(found, train=at[0], test=at[1])
+    search, first, found = late_by(0.004)
+    library = search.library
+    nearly = moved(library, found, 0.998)
     loss = penalized_log_likelihood(found) - penalized_log_likelihood(nearly)
     assert 0 < loss < 3
     alternatives = ArithmeticAlternatives(
@@ -237,6 +229,56 @@ def test_a_delay_below_a_step_must_be_confirmed_over_exact_steps(monkeypatch, wi
     assert alternatives.winner == (exact if won else None)
 
 
+def late_by(seconds):
+    """A search for a delay of a pendulum that is late, its beginning, and the model with it."""
+    problem = recorded(1, "mjINT_EULER", late=seconds)
+    delay, _ = instances_of(problem.simulator.effect_context, "sensor_delay")
+    library = Library(pendulum(DAMPING).with_effects([delay]), [delay], 0)
+    search = Selection(library, 1e-3 * NOISE)
+    train, test = split(problem, 10, 20)
+    first = search.begin(train, test, np.zeros(1), white(NOISE), NO_INDICES)
+    return search, first, search.try_set(first, np.array([seconds]), (), (delay,), scanned=())
+
+
+def moved(library, found, share):
+    """A model with a part of its numbers."""
+    noise = found.train.whiten.noise
+    sides = (found.train, found.test)
+    train, test = (shift_linearization(library, side, share * found.theta, noise) for side in sides)
+    return replace(found, train=train, test=test)
+
+
+@pytest.mark.parametrize(("share", "won"), [(0.998, True), (0.9, False)])
+def test_exact_steps_need_not_be_confirmed_beside_what_a_delay_explained(monkeypatch, share, won):
+    """Ends of two fits without either may be far apart, where numbers do nearly the same: steps
+    that explain as much as the delay win though windows held out are not sure of their gain. The
+    control: steps that explain less do not.
+    """
+    search, first, found = late_by(0.004)
+    library = search.library
+    alternatives = ArithmeticAlternatives(
+        library, search.floor, search.settings, search.log, first=first
+    )
+    other = moved(library, found, share)
+    monkeypatch.setattr(alternatives, "_most_promising", lambda *given: (Arithmetic(8), np.inf))
+    monkeypatch.setattr(alternatives, "_tried", lambda *given: other)
+    monkeypatch.setattr(alternatives, "_fitted", lambda *given: other)
+    monkeypatch.setattr("dropo.diagnosis.search.arithmetic.is_confirmed", lambda *given: False)
+    assert alternatives(first, found) is won
+
+
+@pytest.mark.parametrize(("late", "refused"), [(0.004, True), (0.012, False)])
+def test_few_degrees_of_freedom_do_not_excuse_a_delay_below_a_step(monkeypatch, late, refused):
+    """One of two errors, which have one degree of freedom; the control: one above a step."""
+    search, first, found = late_by(late)
+    searched = SearchedEffects(first, found, reviews_so_far(search, found))
+    monkeypatch.setattr(
+        solving, "standard_errors", lambda *given: (np.abs(found.theta) / 2, np.ones(1))
+    )
+    unsure = solving.that_may_be_nothing(search.library, searched, 0.98)
+    assert (unsure is not None) is refused
+
+
 @pytest.mark.parametrize(
     ("finer", "integrator", "late", "again"),
     [(4, "mjINT_RK4", 0.0, True), (1, "mjINT_EULER", 0.004, False)],
@@ -244,8 +286,8 @@ def test_a_delay_below_a_step_must_be_confirmed_over_exact_steps(monkeypatch, wi
 def test_a_delay_below_a_step_meets_exact_steps_at_the_end(
     monkeypatch, finer, integrator, late, again
 ):
-    """Of an exact machine the search begins anew in them, whenever the delay was accepted; the
-    control: positions that are 4 ms late are no matter of steps.
+    """Of an exact machine the search goes on in them without it, whenever the delay was accepted;
+    the control: positions that are 4 ms late are no matter of steps.
     """
     problem = recorded(finer, integrator, late)
     problem = replace(problem, simulator=pendulum(DAMPING))
@@ -262,6 +304,8 @@ def test_a_delay_below_a_step_meets_exact_steps_at_the_end(
     assert (further is not None) is again
     if again:
         assert further[0].exact
+        _, begun = further[0].begun
+        assert not begun.accepted
         assert solving.in_exact_steps(*further) is None
 
 
