@@ -1,4 +1,4 @@
-"""Effects of one kind at every joint or drive at once."""
+"""Effects of one kind at every joint or drive at once, and one kind in the place of another."""
 
 from collections.abc import Sequence
 
@@ -78,3 +78,25 @@ def with_families(model: FarOffModel, names: Sequence[str]) -> FarOffModel:
         numbers = [(reaching(instance, sizes), sizes.copy()) for instance in family]
         model = model.without(replaced).with_numbers(numbers)
     return model
+
+
+def with_lags_for_delays(model: FarOffModel) -> FarOffModel:
+    """Exchange every delay of commands for a first-order lag that is as long.
+
+    Parameters
+    ----------
+    model : FarOffModel
+        Any.
+
+    Returns
+    -------
+    FarOffModel
+        The same object where there is no delay.
+    """
+    context = robot_of(model.problem).effect_context
+    lags = {one.target: one for one in instances_of(context, "actuator_lag")}
+    late = [(one, sizes) for one, sizes in model.numbers if one.effect == "actuator_delay"]
+    if not late:
+        return model
+    numbers = [(reaching(lags[one.target], sizes), sizes) for one, sizes in late]
+    return model.without([one.label for one, _ in late]).with_numbers(numbers)

@@ -1,10 +1,10 @@
-"""Effects of one kind at every joint or drive at once."""
+"""Effects of one kind at every joint or drive at once, and one kind in the place of another."""
 
 from dataclasses import replace
 
 import numpy as np
 
-from dropo.diagnosis.far_off.families import with_families
+from dropo.diagnosis.far_off.families import with_families, with_lags_for_delays
 from tests.models.coupled_wrist import coupled_wrist_problem
 from tests.models.far_off import torque_arm
 
@@ -54,3 +54,13 @@ def test_a_joint_that_follows_another_is_no_place():
     wrist = torque_arm(problem=coupled_wrist_problem(1, runs=2, count=40))
     found = with_families(wrist, ["joint_damping"])
     assert labels(found) == ["joint_damping:pitch", "joint_damping:lift"]
+
+
+def test_lags_take_the_place_of_delays():
+    """As long, behind the other numbers; a model without a delay stays as it is."""
+    arm = torque_arm("actuator_delay:elbow_motor", "joint_armature:elbow")
+    arm = arm.at(np.concatenate([arm.declared, [0.02, 0.01]]))
+    found = with_lags_for_delays(arm)
+    assert labels(found) == ["joint_armature:elbow", "actuator_lag:elbow_motor"]
+    assert found.theta.tolist() == [*arm.declared, 0.01, 0.02]
+    assert with_lags_for_delays(found) is found

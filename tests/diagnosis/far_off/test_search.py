@@ -290,3 +290,14 @@ def test_kinds_that_are_needed_together_are_added_together(monkeypatch):
     found = search._with_families(arm, SimpleNamespace(fitted=None))
     assert tried == [{"joint_armature"}, {"actuator_bias"}, {"joint_armature", "actuator_bias"}]
     assert len(found.numbers) == 4
+
+
+@pytest.mark.parametrize("late", ["actuator_lag", "actuator_delay"])
+def test_a_lag_takes_the_place_of_a_delay_where_the_machine_has_one(late):
+    """Its time constant within its error; the control: a delay stays."""
+    problem = hide("torque-arm", [f"{late}:elbow_motor=0.03"], seed=0, threads=1)
+    arm = torque_arm("actuator_delay:elbow_motor", problem=problem)
+    explained = searched(arm.at(np.append(arm.declared, 0.03)), replace(SETTINGS, families=()))
+    ((instance, (size,)),) = explained.model.numbers
+    assert instance.effect == late
+    assert size == pytest.approx(0.03, abs=4 * explained.errors[-1])
