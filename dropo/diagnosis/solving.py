@@ -117,7 +117,7 @@ def solved(
     if found.interrupted:
         return setup, found, None
     try:
-        setup, found = _with_holding_friction(setup, found)
+        setup, found = _with_other_friction(setup, found)
         if found.interrupted:
             return setup, found, None
         left = disturbed(setup, found)
@@ -130,7 +130,7 @@ def solved(
         if np.abs(noise.rho).max() < settings.weak:
             coloured = replace(coloured, begun=_begun_with(coloured, found.last))
             coloured.selection.origins = dict(setup.selection.origins)
-        again, anew = _with_holding_friction(*search_effects(coloured))
+        again, anew = _with_other_friction(*search_effects(coloured))
         if anew.interrupted:
             # What was found before is whole; half a search under other premises is not.
             return setup, replace(found, interrupted=True), None
@@ -177,10 +177,10 @@ def _begun_with(setup: SearchSetup, last: State) -> tuple[State, State]:
     return first, selection.polish(state)
 
 
-def _with_holding_friction(
+def _with_other_friction(
     setup: SearchSetup, found: SearchedEffects
 ) -> tuple[SearchSetup, SearchedEffects]:
-    """A search that goes on with dry friction that holds what rests, if the end of one asks for it.
+    """A search that goes on with dry friction of another kind, if the end of one asks for it.
 
     MuJoCo's creeps and turns early, which in a gearbox's data looks like laws, lags and damping;
     friction that falls with speed turns with it, and may stand for one that does not fall.
@@ -190,15 +190,14 @@ def _with_holding_friction(
     simulator = robot_of(setup.problem)
     kinds = {one.effect for one in last.accepted}
     rubbing = rubs(simulator.model) or not kinds.isdisjoint((*FRICTION, FALLING))
-    creeping = friction_kind(simulator.model) is FrictionKind.CREEPING
-    if found.interrupted or setup.explained is not None or not (rubbing and creeping):
+    if found.interrupted or setup.explained is not None or not rubbing:
         return setup, found
     settings = setup.selection.settings
     needed = settings.needed_gain(1)
     theta, free, accepted = _without_falling(library, last)
     chosen: SearchSetup | None = None
     best = last
-    for arithmetic in _holding_steps(setup):
+    for arithmetic in _steps_of_other_friction(setup):
         other, begun = _going_on(setup, arithmetic, theta, free, accepted)
         library.simulator.steps = other.library.simulator.steps
         gain = penalized_log_likelihood(begun) - penalized_log_likelihood(best)
@@ -214,18 +213,20 @@ def _with_holding_friction(
     return search_effects(chosen)
 
 
-def _holding_steps(setup: SearchSetup) -> list[Arithmetic]:
-    """The steps in which dry friction that holds is tried: the model's, and more exact ones.
+def _steps_of_other_friction(setup: SearchSetup) -> list[Arithmetic]:
+    """The steps in which other dry friction is tried: the model's, and more exact ones.
 
     How friction turns may show only where the drives' damping is not that of Euler's steps; over
     how little velocity, in those of Runge and Kutta alone.
     """
     simulator = robot_of(setup.problem)
     own = integrator(simulator.model)
+    kind = friction_kind(simulator.model)
     found = []
     for steps in (UNCHANGED,) if setup.exact else (UNCHANGED, alternatives_of(simulator)[0]):
-        found.append(replace(steps, friction=FrictionKind.HOLDING))
-        if (steps.integrator or own) == "RK4":
+        if kind is FrictionKind.CREEPING:
+            found.append(replace(steps, friction=FrictionKind.HOLDING))
+        if kind is not FrictionKind.TURNING and (steps.integrator or own) == "RK4":
             found.append(replace(steps, friction=FrictionKind.TURNING))
     return found
 

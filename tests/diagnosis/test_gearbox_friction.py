@@ -29,7 +29,7 @@ def test_friction_of_another_kind_than_the_models_is_no_cause(monkeypatch, holdi
     """Of a servo whose model has all of it: nothing is named, also where a search does not ask for
     it at its end. That the machine's friction is not MuJoCo's is said where it is so.
     """
-    monkeypatch.setattr(solving, "_with_holding_friction", lambda setup, found: (setup, found))
+    monkeypatch.setattr(solving, "_with_other_friction", lambda setup, found: (setup, found))
     data = recorded(holding, np.random.default_rng(8))
     effects = ("joint_friction", "joint_stribeck", "joint_damping", "actuator_delay")
     found = Diagnose(effects=effects).run(Problem("servo", servo(FRICTION), data))
@@ -50,7 +50,7 @@ def test_how_friction_turns_may_show_in_more_exact_steps_alone(monkeypatch):
     found = settings.run(problem)
     assert [cause.effect for cause in found.causes] == ["joint_friction"]
     assert any('integrator="RK4"' in sentence for sentence in found.numerics)
-    monkeypatch.setattr(solving, "_holding_steps", lambda setup: [HOLDING])
+    monkeypatch.setattr(solving, "_steps_of_other_friction", lambda setup: [HOLDING])
     assert not any('integrator="RK4"' in sentence for sentence in settings.run(problem).numerics)
 
 

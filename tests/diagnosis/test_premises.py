@@ -36,7 +36,7 @@ EFFECTS = ("actuator_delay",)
 @pytest.fixture
 def faked(monkeypatch):
     """Searches whose ends are faked, under friction as it is."""
-    monkeypatch.setattr(solving, "_with_holding_friction", lambda setup, found: (setup, found))
+    monkeypatch.setattr(solving, "_with_other_friction", lambda setup, found: (setup, found))
 
 
 def setup_of_nothing():
@@ -139,7 +139,7 @@ def test_long_physics_steps_are_no_cause(servo, monkeypatch):
             assert 'integrator="RK4"' in found.numerics[0]
     for decision in decisions:
         monkeypatch.setattr(ArithmeticAlternatives, decision, refused)
-    monkeypatch.setattr(solving, "_with_holding_friction", lambda setup, found: (setup, found))
+    monkeypatch.setattr(solving, "_with_other_friction", lambda setup, found: (setup, found))
     (leader,) = search.run(servo).leaders
     assert (leader.effect, leader.why) == ("actuator_delay", "its size may be 0")
     by_horizons = replace(search, settings=DiagnosisSettings(nothing=0.0))
