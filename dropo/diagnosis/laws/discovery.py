@@ -595,9 +595,6 @@ def _confirmed(
             # What it stands for need not be explained better, with fewer numbers.
             lost, _ = gain_of(base.train, state.train)
             needed_fit = -max((1 - recovered) * lost, settings.usual_margin)
-        # Less than a fraction of what it stands for is what the steps of a simulation make of it.
-        explained, _ = gain_of(base.test, state.test)
-        due = max(needed, settings.minimum_fraction * explained)
         if gain <= needed_fit:
             continue
         own = extended(selection, one[3])
@@ -605,8 +602,8 @@ def _confirmed(
             continue
         polished = own.polish(one[0].state)
         trial, proposal, library, polished = _pruned(selection, base, one, polished, short)
-        better = is_confirmed(state.test, polished.test, due, settings)
-        better = better and _of_the_machine(library, state, polished, due, selection)
+        better = is_confirmed(state.test, polished.test, needed, settings)
+        better = better and _of_the_machine(library, state, polished, needed, selection)
         if not better and not _is_simpler(state, polished, selection):
             continue
         refitted = [each for each, _ in tried]
