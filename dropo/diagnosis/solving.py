@@ -29,7 +29,7 @@ from dropo.diagnosis.search.known_causes import begin_with
 from dropo.diagnosis.search.library import robot_of
 from dropo.diagnosis.search.linearization import Library, shift_linearization
 from dropo.diagnosis.search.refit import other_noise
-from dropo.diagnosis.search.review import Review, merge, review, reviews_so_far
+from dropo.diagnosis.search.review import Review, merge, review, reviews_so_far, with_payload
 from dropo.diagnosis.search.selection import STOPPING, Selection
 from dropo.diagnosis.search.sets import SetSearch, SetSettings
 from dropo.diagnosis.search.trials import Batch, State, penalized_log_likelihood
@@ -424,7 +424,7 @@ def explain(
         selection.latest = last
         if last is found:
             break
-    merged = merge(selection, last, instances)
+    merged = with_payload(selection, merge(selection, last, instances), instances)
     if merged is not last:
         _, reviews = review(selection, merged)
     return merged, reviews

@@ -11,12 +11,19 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from dropo.core.contracts.effect import EffectInstance
+from dropo.core.services.validation import Array
 from dropo.diagnosis.search.confirmation import SETTINGS, SelectionSettings, gain_of, is_confirmed
 from dropo.diagnosis.search.linearization import Library, shift_linearization
 from dropo.diagnosis.search.refit import settle
 from dropo.diagnosis.search.screening import Candidate
 from dropo.diagnosis.search.selection import Selection
 from dropo.diagnosis.search.trials import Batch, State, Trial, penalized_log_likelihood
+from dropo.mjmodel.bodies import mass_centre, moving_bodies
+from dropo.mjmodel.joints import joints
+from dropo.mjmodel.robot_simulator import RobotSimulator
+
+OF_A_BODY = ("body_mass", "body_inertia")
+"""Effects of one body that something which it carries has both of."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -268,15 +275,74 @@ def merge(selection: Selection, state: State, instances: Sequence[EffectInstance
     return state
 
 
+def with_payload(selection: Selection, state: State, instances: Sequence[EffectInstance]) -> State:
+    """Replace a body's mass, and inertia beside it, by a payload that the body carries.
+
+    Parameters
+    ----------
+    selection : Selection
+        The search that accepted the effects.
+    state : State
+        Where it ended.
+    instances : sequence of EffectInstance
+        The effects that may be accepted.
+
+    Returns
+    -------
+    State
+        With the payload, which is one cause, if it is not worse by a margin; else `state` itself.
+    """
+    settings = selection.settings
+    for payload in instances:
+        replacement = _by_payload(selection.library, state, payload)
+        if replacement is None:
+            continue
+        merged = _merged(selection, state, replacement)
+        if not _is_better(merged, state, settings.usual_margin, settings):
+            selection.set_origin_to_first_batch(payload)
+            return merged
+    return state
+
+
+def _by_payload(library: Library, state: State, payload: EffectInstance) -> "_Replacement | None":
+    """A payload in place of its body's larger mass and of a rotor or inertia; None of another
+    effect, or where the body has not both.
+
+    It begins on the line from the body's origin through its centre, where it has the mass times
+    place, and the inertia of a rotor beside it.
+    """
+    simulator = library.simulator
+    of_robot = isinstance(simulator, RobotSimulator)
+    if not of_robot or payload.effect != "payload" or payload.variant or payload in state.accepted:
+        return None
+    model = simulator.model
+    body = {name: body for body, name in moving_bodies(model)}[str(payload.target)]
+    turning = {joint.name for joint in joints(model) if joint.body == body}
+    sizes = {}
+    replaced = []
+    for one in state.accepted:
+        at_joint = one.effect == "joint_armature" and one.target in turning
+        if at_joint or (one.effect in OF_A_BODY and one.target == payload.target):
+            replaced.append(one)
+            sizes[one.effect] = _first_magnitude(library, state, one)
+    mass = sizes.get("body_mass", 0.0)
+    if not mass > 0 or len(replaced) < 2:
+        return None
+    centre = mass_centre(model, body)
+    own = mass * float(centre @ centre)
+    farther = 1 + max(0.0, sizes.get("joint_armature", 0.0)) / max(own, 1e-12)
+    return _Replacement(replaced, [payload], np.array([mass / farther, *(farther * centre)]))
+
+
 @dataclass(frozen=True, eq=False)
 class _Replacement:
-    """Accepted effects of one kind, fewer ones of one magnitude each that may replace them, and the
-    magnitude that each of these begins with.
+    """Accepted effects, fewer ones that may replace them, and the magnitudes that each of these
+    begins with.
     """
 
     replaced: Sequence[EffectInstance]
     fewer: Sequence[EffectInstance]
-    magnitude: float
+    magnitudes: Array
 
 
 def _replacement(
@@ -302,7 +368,7 @@ def _by_one_everywhere(
 ) -> _Replacement:
     """One effect that acts everywhere in place of local ones: it begins with the mean of these."""
     first = [_first_magnitude(library, state, instance) for instance in local]
-    return _Replacement(local, [everywhere], float(np.mean(first)))
+    return _Replacement(local, [everywhere], np.array([np.mean(first)]))
 
 
 def _by_local_ones_elsewhere(
@@ -321,7 +387,7 @@ def _by_local_ones_elsewhere(
         if instance.target not in undone and len(instance.quantities) == 1:
             elsewhere.append(instance)
     magnitude = _first_magnitude(library, state, everywhere)
-    return _Replacement([everywhere, *local], elsewhere, magnitude)
+    return _Replacement([everywhere, *local], elsewhere, np.array([magnitude]))
 
 
 def _local_effects(effect: str, instances: Sequence[EffectInstance]) -> list[EffectInstance]:
@@ -339,10 +405,12 @@ def _merged(selection: Selection, state: State, replacement: _Replacement) -> St
     library = selection.library
     replaced = replacement.replaced
     fewer = replacement.fewer
+    space = library.simulator.space
     of_fewer = np.concatenate([library.indices_of[instance.label] for instance in fewer])
     of_replaced = np.concatenate([library.indices_of[instance.label] for instance in replaced])
     theta = state.theta.copy()
-    theta[of_fewer] = replacement.magnitude
+    begun = np.tile(replacement.magnitudes, len(fewer))
+    theta[of_fewer] = np.clip(begun, space.low[of_fewer], space.high[of_fewer])
     theta[of_replaced] = 0.0
     train = shift_linearization(library, state.train, theta, state.train.whiten.noise)
     free = np.append(np.setdiff1d(state.free, of_replaced), of_fewer)
