@@ -16,6 +16,7 @@ from dropo.core.services.errors import BadArgument
 from dropo.core.services.files.evaluation_log import EvaluationLog
 from dropo.core.services.validation import require
 from dropo.data.outliers.without_disturbances import WithoutDisturbances, without_disturbances
+from dropo.diagnosis.far_off.same_place import alike_in_motions
 from dropo.diagnosis.far_off.search import Explained, FarOffSearch
 from dropo.diagnosis.far_off.start import FarOffStart, RegressionStart, start_of
 from dropo.diagnosis.findings.accuracy.every_horizon import (
@@ -70,6 +71,7 @@ from dropo.diagnosis.search.aliases import beside_numbers, beside_the_rest
 from dropo.diagnosis.search.invariance import invariance
 from dropo.diagnosis.search.library import LAW, instances_for, robot_of
 from dropo.diagnosis.search.linearization import Library
+from dropo.diagnosis.search.review import Review
 from dropo.diagnosis.search.selection import STOPPING, Selection
 from dropo.diagnosis.search.trials import State
 from dropo.diagnosis.search.window_length import (
@@ -448,9 +450,13 @@ class Diagnose:
         if not far_off and not searched.interrupted:
             reviews = beside_the_rest(library, last, searched.reviews)
             alike = setup.selection.settings.similarity
-            reviews = beside_numbers(library, last, reviews, setup.instances, alike)
+            several = [one for one in last.accepted if len(one.quantities) > 1]
+            others = _of_one_number(setup.instances, last)
+            reviews = beside_numbers(library, last, reviews, several, others, alike)
             searched = replace(searched, reviews=reviews)
             scales = untold_scales(library, last)
+        elif not searched.interrupted:
+            searched = replace(searched, reviews=_alike_in_motions(setup, searched))
         found = self._causes(setup, searched, of_each, worse.keys(), scales)
         if far_off and not found and not searched.interrupted:
             # Motions do not bear out what regression finds.
@@ -827,6 +833,22 @@ def _with_learned(
     selection = learned.selection
     setup = replace(setup, selection=selection, library=selection.library)
     return setup, replace(searched, first=learned.first, last=learned.last)
+
+
+def _of_one_number(instances: Sequence[EffectInstance], last: State) -> list[EffectInstance]:
+    """The effects of one number that a model does not have."""
+    accepted = {one.label for one in last.accepted}
+    single = [one for one in instances if len(one.quantities) == 1 and one.label not in accepted]
+    return [one for one in single if one.linear_in is None and not one.variant]
+
+
+def _alike_in_motions(setup: SearchSetup, searched: SearchedEffects) -> dict[str, Review]:
+    """What whole motions do not tell from the effects that they bear out."""
+    last = searched.last
+    alike = setup.selection.settings.similarity
+    named = setup.certain(last)
+    simulator = robot_of(setup.problem)
+    return alike_in_motions(simulator, setup.library, last, searched.reviews, named, alike)
 
 
 def _is_an_end(found: Diagnosis) -> bool:

@@ -92,11 +92,12 @@ def beside_numbers(
     library: Library,
     last: State,
     reviews: Mapping[str, Review],
-    instances: Sequence[EffectInstance],
+    compared: Sequence[EffectInstance],
+    others: Sequence[EffectInstance],
     alike: float,
     settings: AliasSettings = SETTINGS,
 ) -> dict[str, Review]:
-    """Compare each number of an accepted effect of several with the effects of one number.
+    """Compare each number of accepted effects with other effects.
 
     A spring with a load is one without, beside an offset of its drive.
 
@@ -108,8 +109,10 @@ def beside_numbers(
         Where the search ended.
     reviews : mapping of str to Review
         By the label of each accepted effect.
-    instances : sequence of EffectInstance
-        The effects that may be causes.
+    compared : sequence of EffectInstance
+        The accepted effects whose numbers are compared.
+    others : sequence of EffectInstance
+        The effects that they are compared with, which are not accepted.
     alike : float
         Cosine from which two are alike.
     settings : AliasSettings
@@ -118,20 +121,17 @@ def beside_numbers(
     Returns
     -------
     dict of str to Review
-        With `others`, by a simulation of the windows to fit for each effect of one number.
+        With `others`, by a simulation of the windows to fit for each other effect.
     """
     found = dict(reviews)
     indices_of = library.indices_of
-    accepted = {one.label for one in last.accepted}
-    several = [one for one in last.accepted if len(one.quantities) > 1]
-    if not several:
+    if not compared:
         return found
-    others = [one for one in instances if len(one.quantities) == 1 and one.label not in accepted]
-    others = [one for one in others if one.linear_in is None and not one.variant]
     train = last.train
     jacobian = train.flat(library.kept_jacobian(last.theta, last.free, train.windows))
+    single = {one.label for one in compared if len(one.quantities) == 1}
     own = {}
-    for instance in several:
+    for instance in compared:
         for quantity, index in zip(instance.quantities, indices_of[instance.label], strict=True):
             rest = jacobian[last.free != index]
             basis = np.linalg.qr(rest.T)[0] if len(rest) else None
@@ -149,8 +149,9 @@ def beside_numbers(
             rows = project_out(changes, basis)
             lengths = np.linalg.norm(rows, axis=1) * np.linalg.norm(row)
             cosines = np.abs(rows @ row[0]) / np.maximum(lengths, SMALLEST_LENGTH)
+            its = "" if label in single else f"in the place of its {name}: "
             more = tuple(
-                (other, f"in the place of its {name}: similarity {cosine:.3f} beside the rest")
+                (other, f"{its}similarity {cosine:.3f} beside the rest")
                 for other, cosine in zip(batch, cosines.tolist(), strict=True)
                 if cosine > alike
             )

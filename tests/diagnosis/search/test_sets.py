@@ -126,7 +126,8 @@ def test_what_one_of_several_numbers_does_is_named(monkeypatch):
     search, first = selection(data, effects=effects, offered=offered)
     (spring,) = (last := search.run(first, first, offered[:2])).accepted
     reviews = {spring.label: Review(first, None, ())}
-    found = beside_numbers(search.library, last, reviews, offered, 0.98)[spring.label]
+    others = offered[2:]
+    found = beside_numbers(search.library, last, reviews, [spring], others, 0.98)[spring.label]
     ((other, why),) = found.others
     assert other.effect == "bias"
     assert why.startswith("in the place of its load: similarity 1.000")
