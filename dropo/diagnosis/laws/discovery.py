@@ -591,7 +591,8 @@ def _confirmed(
     for one, base in ranked[: settings.maximum_polished]:
         gain, _ = gain_of(state.train, one[0].state.train)
         needed_fit = settings.minimum_fitted_gain
-        if len(base.accepted) < len(state.accepted):
+        added = len(base.accepted) == len(state.accepted)
+        if not added:
             # What it stands for need not be explained better, with fewer numbers.
             lost, _ = gain_of(base.train, state.train)
             needed_fit = -max((1 - recovered) * lost, settings.usual_margin)
@@ -601,6 +602,9 @@ def _confirmed(
         if own.only_by_feedback(one[0].state):
             continue
         polished = own.polish(one[0].state)
+        held_out, _ = gain_of(state.test, polished.test)
+        if added and held_out < settings.polished_fraction * needed:
+            continue
         trial, proposal, library, polished = _pruned(selection, base, one, polished, short)
         better = is_confirmed(state.test, polished.test, needed, settings)
         better = better and _of_the_machine(library, state, polished, needed, selection)
@@ -714,6 +718,7 @@ def _pruned(
     short: whether that is seen as short physics steps would predict.
     """
     trial, proposal, alike, library = tried
+    settings = selection.settings
     for i in range(len(proposal.shapes)):
         if len(proposal.shapes) == 1:
             break
@@ -724,11 +729,17 @@ def _pruned(
         sizes = _fitted(proposal, trial.candidate.instance, polished, library)
         fewer = replace(proposal, shapes=shapes, sizes=sizes[kept])
         again = _tried(selection, state, fewer, alike)
+        as_tried, _ = gain_of(
+            _view(again[3], again[0].state.test, selection, short),
+            _view(library, trial.state.test, selection, short),
+        )
+        of_the_others = (1 - settings.polished_fraction) * max(0.0, trial.held_out_gain)
+        if as_tried > settings.negligible_gain + of_the_others:
+            continue
         whole = extended(selection, again[3]).polish(again[0].state)
         without = _view(again[3], whole.test, selection, short)
-        if gain_of(without, _view(library, polished.test, selection, short))[0] < (
-            selection.settings.negligible_gain
-        ):
+        lost, _ = gain_of(without, _view(library, polished.test, selection, short))
+        if lost < settings.negligible_gain:
             return _pruned(selection, state, (again[0], fewer, alike, again[3]), whole, short)
     return trial, proposal, library, polished
 
