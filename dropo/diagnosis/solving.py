@@ -693,7 +693,7 @@ def that_may_be_nothing(
     found = []
     for instance in last.accepted:
         indices = library.indices_of[instance.label].tolist()
-        scaling = indices if instance.linear_in is None else indices[:1]
+        scaling = indices[:1] if instance.scaled else indices
         if all(index in half for index in scaling):
             least = np.finfo(float).tiny
             most = max(abs(float(last.theta[i])) / max(half[i], least) for i in scaling)

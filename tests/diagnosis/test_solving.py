@@ -88,6 +88,22 @@ def test_few_degrees_of_freedom_excuse_what_is_new_alone(monkeypatch):
     assert that_may_be_nothing(library, found, LEVEL)[0] == "bias:mass"
 
 
+def test_of_a_size_and_a_shape_the_size_counts():
+    """A bias that may be nothing beside a shape that is certain: refused as one effect of both if
+    the first is its size; the control: left alone as two sizes.
+    """
+    library, found = searched({"damping": 0.2}, ("damping", "bias"))
+    bias, damping = sorted(found.last.accepted, key=lambda one: one.effect)
+    both = replace(bias, quantities=(*bias.quantities, *damping.quantities), trials=())
+    indices = np.concatenate([library.indices_of[one.label] for one in (bias, damping)])
+    library.indices_of[both.label] = indices
+    for scaled in (True, False):
+        one = replace(both, scaled=scaled)
+        end = replace(found, last=replace(found.last, accepted=(one,)))
+        unsure = that_may_be_nothing(library, end, LEVEL)
+        assert (unsure is not None) is scaled
+
+
 def test_beside_declared_parameters_none_is_refused():
     """A size may only grow with them: the same end, whose first number is a declared one."""
     _, found = searched({"damping": 0.2}, ("damping", "bias"))

@@ -210,6 +210,9 @@ class EffectInstance:
         where they are not in the magnitudes themselves: in proportion to the first, and smooth
         where that is not 0. There is one set of at least k trials then, which span them; the first
         q span enough of them for a first choice.
+    scaled : bool
+        Whether the first magnitude is the effect's size and the others its shape, so that it is
+        nothing where the first is 0; so it is if there is `linear_in`.
 
     Raises
     ------
@@ -246,6 +249,7 @@ class EffectInstance:
     remembers: bool = False
     trials: tuple[tuple[tuple[float, ...], ...], ...] = ()
     linear_in: Callable[[Array], Array] | None = None
+    scaled: bool = False
 
     def __post_init__(self) -> None:
         rule = "a tuple of Quantity, such as (size,)"
@@ -254,6 +258,7 @@ class EffectInstance:
         require(is_tuple, "quantities", rule, self.quantities, caller)
         if not self.trials:
             object.__setattr__(self, "trials", _trials(self.quantities))
+        object.__setattr__(self, "scaled", self.scaled or self.linear_in is not None)
 
     @property
     def label(self) -> str:

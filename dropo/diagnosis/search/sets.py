@@ -408,7 +408,7 @@ def gram_of(
         theta = state.theta.copy()
         theta[indices] = magnitudes
         thetas.append(theta)
-        scaling = slice(None) if instance.linear_in is None else slice(1)
+        scaling = slice(1) if instance.scaled else slice(None)
         low = space.low[indices]
         high = space.high[indices]
         multiples.append(_bounds(magnitudes[scaling], low[scaling], high[scaling]))

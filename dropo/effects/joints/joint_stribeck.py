@@ -45,6 +45,7 @@ def joint_stribeck(context: EffectContext) -> Iterator[EffectInstance]:
             (friction, speed),
             force=partial(_friction, joint),
             trials=trials,
+            scaled=True,
         )
 
 
