@@ -133,9 +133,8 @@ def beside_numbers(
     own = {}
     for instance in compared:
         for quantity, index in zip(instance.quantities, indices_of[instance.label], strict=True):
-            rest = jacobian[last.free != index]
-            basis = np.linalg.qr(rest.T)[0] if len(rest) else None
-            row = project_out(jacobian[last.free == index], basis)
+            basis = _basis(jacobian[last.free != index])
+            row = _directions(jacobian[last.free == index], basis)[0]
             own[instance.label, quantity.name] = row, basis
     for start in range(0, len(others), settings.batch):
         batch = others[start : start + settings.batch]
@@ -146,9 +145,7 @@ def beside_numbers(
             np.nan_to_num(library.predict(thetas, train.windows) - train.predicted)
         )
         for (label, name), (row, basis) in own.items():
-            rows = project_out(changes, basis)
-            lengths = np.linalg.norm(rows, axis=1) * np.linalg.norm(row)
-            cosines = np.abs(rows @ row[0]) / np.maximum(lengths, SMALLEST_LENGTH)
+            cosines = np.abs(_directions(changes, basis) @ row)
             its = "" if label in single else f"in the place of its {name}: "
             more = tuple(
                 (other, f"{its}similarity {cosine:.3f} beside the rest")
@@ -198,10 +195,19 @@ def _similar(
         thetas.append(theta)
     predicted = library.predict(np.array(thetas), train.windows)
     changes = np.concatenate([(train.predicted - predicted[0])[None], predicted[1:] - predicted[0]])
-    rest = jacobian[~np.isin(last.free, indices_of[instance.label])]
-    basis = np.linalg.qr(rest.T)[0] if len(rest) else None
-    rows = project_out(train.flat(np.nan_to_num(changes)), basis)
-    rows = rows / np.maximum(np.linalg.norm(rows, axis=1), SMALLEST_LENGTH)[:, None]
+    basis = _basis(jacobian[~np.isin(last.free, indices_of[instance.label])])
+    rows = _directions(train.flat(np.nan_to_num(changes)), basis)
     cosines = np.abs(rows[1:] @ rows[0])
     labels = [other.instance.label for other in others]
     return dict(zip(labels, cosines.tolist(), strict=True))
+
+
+def _basis(rest: Array) -> Array | None:
+    """An orthonormal basis (N, k) of responses (k, N); None of none."""
+    return np.linalg.qr(rest.T)[0] if len(rest) else None
+
+
+def _directions(rows: Array, basis: Array | None) -> Array:
+    """What is left of responses (K, N) beside a basis, each of length 1."""
+    left = project_out(rows, basis)
+    return left / np.maximum(np.linalg.norm(left, axis=1), SMALLEST_LENGTH)[:, None]
