@@ -443,7 +443,7 @@ def gram_of(
 
 def _scaled(instance: EffectInstance, magnitudes: Array, size: float) -> Array:
     """Magnitudes of which an effect does so many times as much."""
-    if instance.linear_in is None:
+    if not instance.scaled:
         return magnitudes * size
     scaled = np.array(magnitudes)
     scaled[0] *= size
@@ -451,13 +451,15 @@ def _scaled(instance: EffectInstance, magnitudes: Array, size: float) -> Array:
 
 
 def _bounds(magnitudes: Array, low: Array, high: Array) -> tuple[float, float]:
-    """The multiples of magnitudes (q,) that stay within bounds."""
+    """The multiples of magnitudes (q,) that stay within bounds; of nothing there are none but 0."""
     ends = [
         (float(bottom / size), float(top / size))
         for size, bottom, top in zip(magnitudes, low, high, strict=True)
         if size
     ]
-    return max(min(one) for one in ends), min(max(one) for one in ends)
+    lowest = max((min(one) for one in ends), default=0.0)
+    highest = min((max(one) for one in ends), default=0.0)
+    return lowest, highest
 
 
 def _labels(instances: Sequence[EffectInstance]) -> frozenset[str]:

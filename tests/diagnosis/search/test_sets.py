@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dropo.core.contracts.effect import EffectInstance, Quantity
 from dropo.diagnosis.search.aliases import AliasSettings, beside_numbers, beside_the_rest
 from dropo.diagnosis.search.plausibility import Plausibility
 from dropo.diagnosis.search.review import Review, ambiguity, review
 from dropo.diagnosis.search.screening import Candidate
-from dropo.diagnosis.search.sets import SetSearch, gram_of
+from dropo.diagnosis.search.sets import SetSearch, _bounds, _scaled, gram_of
 from dropo.diagnosis.search.trials import Batch
 from tests.models.linear_mass import EFFECTS, instances, loaded_spring, measured, selection
 
@@ -131,3 +132,17 @@ def test_what_one_of_several_numbers_does_is_named(monkeypatch):
     ((other, why),) = found.others
     assert other.effect == "bias"
     assert why.startswith("in the place of its load: similarity 1.000")
+
+
+def test_what_has_a_size_and_a_shape_is_scaled_by_its_size():
+    """Its multiples, and their bounds, which are 0 of what is nothing; the control: two sizes."""
+    quantities = (
+        Quantity("size", "1", 0.0, 4.0, (1.0,)),
+        Quantity("shape", "1", -3.0, 3.0, (-1.0, 1.0)),
+    )
+    one = EffectInstance("shaped", "mass", quantities, scaled=True, trials=(((1.0, -1.0),),))
+    shaped = np.array([1.0, -1.0])
+    np.testing.assert_array_equal(_scaled(one, shaped, 2.0), [2.0, -1.0])
+    np.testing.assert_array_equal(_scaled(replace(one, scaled=False), shaped, 2.0), [2.0, -2.0])
+    assert _bounds(shaped[:1], np.array([0.0]), np.array([4.0])) == (0.0, 4.0)
+    assert _bounds(np.zeros(1), np.array([0.0]), np.array([4.0])) == (0.0, 0.0)
