@@ -7,7 +7,7 @@ import numpy as np
 from dropo.core.contracts.effect import instances_of
 from dropo.diagnosis.far_off.model import FarOffModel, reaching
 from dropo.diagnosis.regression.equation import coupled_joints
-from dropo.diagnosis.search.library import declared, robot_of
+from dropo.diagnosis.search.library import PARTNERS, declared, robot_of
 from dropo.mjmodel.joints import joints
 from dropo.mjmodel.tendons import fixed_tendons, moved_by_tendons
 
@@ -80,8 +80,8 @@ def with_families(model: FarOffModel, names: Sequence[str]) -> FarOffModel:
     return model
 
 
-def with_lags_for_delays(model: FarOffModel) -> FarOffModel:
-    """Exchange every delay of commands for a first-order lag that is as long.
+def late_otherwise(model: FarOffModel) -> FarOffModel:
+    """Exchange every delay of commands for a first-order lag that is as long, and the reverse.
 
     Parameters
     ----------
@@ -91,12 +91,18 @@ def with_lags_for_delays(model: FarOffModel) -> FarOffModel:
     Returns
     -------
     FarOffModel
-        The same object where there is no delay.
+        The same object where there is neither.
     """
     context = robot_of(model.problem).effect_context
-    lags = {one.target: one for one in instances_of(context, "actuator_lag")}
-    late = [(one, sizes) for one, sizes in model.numbers if one.effect == "actuator_delay"]
+    late = [(one, sizes) for one, sizes in model.numbers if one.effect in PARTNERS]
     if not late:
         return model
-    numbers = [(reaching(lags[one.target], sizes), sizes) for one, sizes in late]
+    labels = {one.label for one, _ in model.numbers}
+    numbers = []
+    for one, sizes in late:
+        offered = instances_of(context, PARTNERS[one.effect])
+        (partner,) = (other for other in offered if other.target == one.target)
+        if partner.label in labels:
+            return model
+        numbers.append((reaching(partner, sizes), sizes))
     return model.without([one.label for one, _ in late]).with_numbers(numbers)

@@ -18,7 +18,7 @@ from dropo.diagnosis.far_off.added_mass import (
     for_payload,
     is_mass_for_gain,
 )
-from dropo.diagnosis.far_off.families import ALONG_TENDONS, with_families, with_lags_for_delays
+from dropo.diagnosis.far_off.families import ALONG_TENDONS, late_otherwise, with_families
 from dropo.diagnosis.far_off.model import GAIN, PAYLOAD, FarOffModel, reaching
 from dropo.diagnosis.far_off.motions import LongWindowSettings, Motions, motions_of, outer_spread
 from dropo.diagnosis.far_off.output_error import Fitted, Known, OutputError, OutputErrorSettings
@@ -317,7 +317,7 @@ class FarOffSearch:
         model = self._with_exact_steps(model, sides, self.settings.decisive)
         if self._is_misfit(model, fitted):
             model = self._with_holding_friction(model, sides)
-        model = self._with_lags_for_delays(model, sides)
+        model = self._late_otherwise(model, sides)
         model = self._with_own_gains(model, sides)
         model = self._with_payload_for_gain(model, sides)
         model = self._with_payload(model, sides)
@@ -432,14 +432,14 @@ class FarOffSearch:
         gain = as_it_is - error.left_after_step(end, residuals)
         return gain > self.settings.share * end.cost
 
-    def _with_lags_for_delays(self, model: FarOffModel, sides: _Sides) -> FarOffModel:
-        """Lags in the place of delays, which regression looks for, where motions are clearly better
-        predicted by them.
+    def _late_otherwise(self, model: FarOffModel, sides: _Sides) -> FarOffModel:
+        """Lags in the place of delays, or the reverse, where motions are clearly better predicted:
+        regression may have smoothed what tells them apart.
         """
-        other = with_lags_for_delays(model)
+        other = late_otherwise(model)
         if other is model:
             return model
-        self.progress(0.25, "fitting a lag in the place of a delay")
+        self.progress(0.25, "fitting a lag in the place of a delay, or the reverse")
         return self._better(model, other, sides)
 
     def _with_own_gains(self, model: FarOffModel, sides: _Sides) -> FarOffModel:

@@ -20,7 +20,7 @@ from dropo.diagnosis.regression.quick import (
     fixed_numbers,
 )
 from dropo.diagnosis.regression.readings import sides
-from dropo.diagnosis.search.library import changed_parameters, declared, robot_of
+from dropo.diagnosis.search.library import PARTNERS, changed_parameters, declared, robot_of
 from dropo.mjmodel.robot_simulator import RobotSimulator
 
 OF_ALL_DRIVES = (GAIN, "actuator_delay")
@@ -188,8 +188,9 @@ def _may_be(estimate: Missing, kinds: Sequence[str], limits: FarOffLimits) -> bo
 def _of_all_drives(
     simulator: RobotSimulator, effect: str, free: Ints, numbers: ActiveEffects
 ) -> ActiveEffects:
-    """An effect of all drives, of size 0, where it is not among the numbers."""
-    if any(instance.effect == effect for instance, _ in numbers):
+    """An effect of all drives, of size 0, where neither it nor a partner is among the numbers."""
+    either = (effect, PARTNERS.get(effect))
+    if any(instance.effect in either for instance, _ in numbers):
         return ()
     every = list(instances_of(simulator.effect_context, effect))
     if not every or any(declared(simulator, instance, free) for instance in every):

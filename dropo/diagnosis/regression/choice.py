@@ -54,6 +54,9 @@ class ChoiceSettings:
     further : float
         Fraction by which each further thing of a solution must lower that spread, where another
         solution explains nearly as much in fewer things.
+    lag : float
+        Fraction by which lags of commands must lower that spread in the place of delays, which are
+        more usual, where as many things are missing beside them.
     heavier : float
         Fraction by which a body is heavier than its model from which that is rather a payload.
     passes : int
@@ -73,6 +76,7 @@ class ChoiceSettings:
     decisive: float = 3.0
     payload: float = 0.02
     further: float = 0.1
+    lag: float = 0.25
     heavier: float = 0.5
     passes: int = 4
     rounds: int = 40
@@ -265,11 +269,21 @@ class Chooser:
         laws = [i for i in solution.terms if terms[i].family in LAWS]
         large = {terms[i].family for i in laws if shares[i] > self.settings.apart}
         bodies = {terms[i].target for i in solution.terms if terms[i].family in INERTIAL}
-        late = self._is_late(solution)
+        late = self.is_late(solution)
         return len(large) + len(bodies) + self._beside_laws(solution) + int(late)
 
-    def _is_late(self, solution: Solution) -> bool:
-        """Whether commands come later than in the model's simulation, by a physics step or more."""
+    def is_late(self, solution: Solution) -> bool:
+        """Tell whether commands come later than in the model's simulation by a physics step.
+
+        Parameters
+        ----------
+        solution : Solution
+            The numbers.
+
+        Returns
+        -------
+        bool
+        """
         return solution.delay > -self.fitter.own_delay
 
     def _beside_laws(self, solution: Solution) -> int:
@@ -329,9 +343,28 @@ class Chooser:
         float
             The cost, with a price for each number that motions tell [nats].
         """
-        count = len(solution.chosen) + self._is_late(solution) + self._told_of_payload(solution)
+        count = len(solution.chosen) + self.is_late(solution) + self._told_of_payload(solution)
         rows = max(float(self.fitter.equation.used.sum()), 1.0)
         return self.fitter.badness(solution) + 0.5 * float(np.log(rows)) * count
+
+    def criterion_of_things(self, solution: Solution) -> tuple[int, float]:
+        """Count the things that are missing, and compute Schwarz's criterion with their price.
+
+        Parameters
+        ----------
+        solution : Solution
+            The numbers.
+
+        Returns
+        -------
+        things : int
+            A law, a payload and a body's inertial numbers are one each.
+        criterion : float
+            [nats]: `further` for each of them.
+        """
+        things = self._candidates_in(solution)
+        rows = float(self.fitter.equation.used.sum())
+        return things, self.criterion(solution) + self.settings.further * rows * things
 
     def _told_of_payload(self, solution: Solution) -> int:
         """How many numbers of the payload motions tell: its mass, and most often its place."""

@@ -7,7 +7,7 @@ Of machines with a floating base, contact forces are projected out before that.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,13 @@ from dropo.core.numerics.robust_statistics import deviation
 from dropo.core.records.trajectories import Ints, Trajectories
 from dropo.core.services.errors import BadArgument, Incompatible
 from dropo.core.services.validation import Array
-from dropo.diagnosis.regression.kernels import REACH, apply_kernel, derivative_kernels, held_kernel
+from dropo.diagnosis.regression.kernels import (
+    REACH,
+    apply_kernel,
+    derivative_kernels,
+    held_kernel,
+    lagging_kernel,
+)
 from dropo.diagnosis.search.library import robot_of
 from dropo.mjmodel.bodies import moving_bodies
 from dropo.mjmodel.dynamics.body_regressors import inverse_dynamics
@@ -71,6 +77,9 @@ class EquationSettings:
         Longest delay of commands that is tried, in control steps.
     longest_delay : float
         Longest delay of commands that is tried, whatever the control step [s].
+    lagging : bool
+        Whether delays are time constants of first-order lags, beside the delay that the model's
+        simulation has.
     block : float
         About the length of the blocks of time that errors are computed from [s].
     blocks : int
@@ -92,6 +101,7 @@ class EquationSettings:
     slow: float = 0.02
     delays: float = 10.0
     longest_delay: float = 0.06
+    lagging: bool = False
     block: float = 1.0
     blocks: int = 20
 
@@ -109,6 +119,8 @@ class Equation:
         Forces of the drives for each delay of the commands [N, N m].
     delays : (D,) array
         The delays [s].
+    lagging : bool
+        Whether they are those of lags (`EquationSettings.lagging`).
     needed : (R, nv) array
         Forces that the motion needs by the model [N, N m].
     position, velocity, acceleration, direction : (R, nv) arrays
@@ -145,6 +157,7 @@ class Equation:
 
     drives: Array
     delays: Array
+    lagging: bool
     needed: Array
     position: Array
     velocity: Array
@@ -369,6 +382,7 @@ def equation_of(
         tendons=fixed_tendons(model),
         floating=floating,
         delays=delays,
+        lagging=settings.lagging,
         driven=driven,
         inertia=inertia,
         width=width,
@@ -616,6 +630,29 @@ def _delays(simulator: RobotSimulator, settings: EquationSettings) -> Array:
     return np.linspace(-physics_step(simulator.model), longest, 25)
 
 
+def own_delay(delays: Array) -> float:
+    """Return the delay that the model's simulation has: it acts half a physics step early.
+
+    Parameters
+    ----------
+    delays : (D,) array
+        Those of an equation [s].
+
+    Returns
+    -------
+    float
+        [s].
+    """
+    return float(delays[0]) / 2
+
+
+def _late_kernel(width: float, step: float, lagging: bool, own: float, delay: float) -> Array:
+    """The weights of commands that are late, or lag by what a delay is more than the model's."""
+    if lagging and delay > own:
+        return lagging_kernel(width, step, own, delay - own)
+    return held_kernel(width, step, delay)
+
+
 def _first_width(log: UniformLog, settings: EquationSettings) -> float:
     """The width of the first kernel [s] at which accelerations stand out from noise."""
     noise = log.noise
@@ -674,10 +711,8 @@ def _stretch_equation(
     motion = inverse_dynamics(model, position, velocity, acceleration, bodies)
     commands = log.commands[run][start:stop]
     drives = linear_drives(model, position, velocity)
-    forces = [
-        drives.forces(apply_kernel(held_kernel(width, log.step, delay), commands))
-        for delay in delays.tolist()
-    ]
+    kernel = partial(_late_kernel, width, log.step, settings.lagging, own_delay(delays))
+    forces = [drives.forces(apply_kernel(kernel(delay), commands)) for delay in delays.tolist()]
     still = _is_still(log, velocity, kernels[1], speed, settings)
     # Dry friction acted before the first kernel: it passes that kernel as all other forces did.
     sign = _signs(velocity, settings.slow * speed)

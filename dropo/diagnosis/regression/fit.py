@@ -24,7 +24,7 @@ from dropo.core.numerics.closing_grid import SETTINGS as GRID
 from dropo.core.numerics.closing_grid import ClosingGridSettings, best_place
 from dropo.core.numerics.robust_statistics import deviation
 from dropo.core.services.validation import Array
-from dropo.diagnosis.regression.equation import Equation
+from dropo.diagnosis.regression.equation import Equation, own_delay
 from dropo.diagnosis.regression.terms import OWN_GAIN, Term, point_mass_slope
 from dropo.mjmodel.dynamics.body_regressors import point_mass
 
@@ -237,7 +237,7 @@ class Fitter:
     @property
     def own_delay(self) -> float:
         """The delay that the model's simulation has: it acts half a physics step early."""
-        return float(self.equation.delays[0]) / 2
+        return own_delay(self.equation.delays)
 
     def start(self, chosen: tuple[int, ...]) -> Solution:
         """Begin with a model that lacks nothing; rows count by the force of their joint.

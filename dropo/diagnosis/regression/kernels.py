@@ -4,12 +4,14 @@ from functools import lru_cache
 
 import numpy as np
 from scipy.ndimage import correlate1d
-from scipy.special import erf
+from scipy.special import erf, log_ndtr, ndtr
 
 from dropo.core.services.validation import Array
 
 REACH = 4.0
 """Half the length of a kernel, in its widths."""
+FORGOTTEN = 8.0
+"""Time constants after which a lag has forgotten a command: 0.03 % are left."""
 
 
 def derivative_kernels(width: float, step: float) -> Array:
@@ -63,6 +65,32 @@ def held_kernel(width: float, step: float, delay: float) -> Array:
     t = step * np.arange(-half, half + 1) + delay
     ends = erf(np.stack([t, t + step]) / (np.sqrt(2.0) * width))
     weights = np.asarray(0.5 * (ends[1] - ends[0]))
+    weights.flags.writeable = False  # they are kept for the next call
+    return weights
+
+
+@lru_cache(maxsize=256)
+def lagging_kernel(width: float, step: float, delay: float, time: float) -> Array:
+    """Weights that give the smoothed mean of what follows held commands by a first-order lag.
+
+    Parameters
+    ----------
+    width, step, delay : float
+        As of `held_kernel`.
+    time : float
+        The time constant, above 0 [s].
+
+    Returns
+    -------
+    (2 h + 1,) array
+        As of `held_kernel`.
+    """
+    half = int(np.ceil((REACH * width + abs(delay) + FORGOTTEN * time) / step)) + 1
+    t = step * np.arange(-half, half + 2) + delay
+    # The mean of 1 - exp(-(x - t) / T) over a Gaussian's x beyond t: what a step at t has done.
+    past = t / time + 0.5 * (width / time) ** 2 + log_ndtr(-t / width - width / time)
+    done = ndtr(-t / width) - np.exp(past)
+    weights = np.asarray(done[:-1] - done[1:])
     weights.flags.writeable = False  # they are kept for the next call
     return weights
 

@@ -77,6 +77,8 @@ class Missing:
         The fraction of the drives' force from which a term is named, however uncertain its size.
     bodies : sequence of str
         Names of the moving bodies.
+    or_lags : bool
+        Whether a lag of commands explains about as much as their delay.
     """
 
     fitter: Fitter
@@ -85,6 +87,7 @@ class Missing:
     errors: Array
     large: float
     bodies: Sequence[str]
+    or_lags: bool = False
 
     @property
     def left(self) -> float:
@@ -169,7 +172,10 @@ class Missing:
         # A simulation of the model acts early by itself: what is to be typed makes up for that.
         delay = Estimate(solution.delay - self.fitter.own_delay, errors.pop(0), "s", None)
         if delay.value > 0:
-            add("delay", ("actuator_delay", everywhere, ""), physics_step(model), delay=delay)
+            effect, name = ("actuator_delay", "delay")
+            if self.fitter.equation.lagging:
+                effect, name = ("actuator_lag", "time constant")
+            add("delay", (effect, everywhere, ""), physics_step(model), **{name: delay})
         return found
 
     def _as_bias(self, load: Estimate, drive: LoneDrive) -> Estimate:
@@ -423,19 +429,25 @@ class Missing:
             return [own]
         return [("actuator_bias", term.drive.name, ""), own]
 
-    def rivals(self, effect: str) -> tuple[Alternative, ...]:
-        """Name the body whose inertial numbers explain as much as a payload and gains together.
+    def rivals(self, effect: str, target: str | None) -> tuple[Alternative, ...]:
+        """Name what explains as much otherwise: a lag in the place of a delay, the inertial numbers
+        of a body in that of a payload and gains together.
 
         Parameters
         ----------
         effect : str
             What was found.
+        target : str or None
+            Where.
 
         Returns
         -------
         tuple of Alternative
-            None where it is neither a payload nor a gain, or nothing explains as much.
+            None where it is neither a delay nor a payload or gain, or nothing explains as much.
         """
+        if effect == "actuator_delay" and self.or_lags:
+            why = "a lag of commands leaves about as much force unexplained"
+            return (Alternative("actuator_lag", target, "", why=why),)
         rival = self.chooser.rival
         if rival is None or effect not in ("payload", "actuator_gain"):
             return ()

@@ -202,8 +202,8 @@ class QuickDiagnose:
                 "larger than the number."
             )
         try:
-            equation = equation_of(
-                problem, checked, self.settings.equation, width=estimate.fitter.equation.width
+            equation = _equation_like(
+                estimate, problem, checked, self.settings, estimate.fitter.equation.width
             )
         except BadArgument:
             equation = estimate.fitter.equation
@@ -267,7 +267,7 @@ class QuickDiagnose:
                     rmse_before=estimate.left_without(number.index),
                     rmse_after=estimate.left,
                     confused_with=(
-                        *estimate.rivals(number.effect),
+                        *estimate.rivals(number.effect, number.target),
                         *estimate.alternatives(
                             number.index, self.settings.similarity, self.settings.same
                         ),
@@ -376,8 +376,8 @@ class QuickDiagnose:
         if again is None:
             return ()
         try:
-            equation = equation_of(
-                extended, again, self.settings.equation, width=estimate.fitter.equation.width
+            equation = _equation_like(
+                estimate, extended, again, self.settings, estimate.fitter.equation.width
             )
         except BadArgument:
             return ()
@@ -433,6 +433,23 @@ def estimate_missing(
     Incompatible, BadArgument
         As of `equation_of`.
     """
+    late = _estimated(problem, trajectories, settings)
+    if not late.chooser.is_late(late.solution):
+        return late
+    lagging = replace(settings, equation=replace(settings.equation, lagging=True))
+    lags = _estimated(problem, trajectories, lagging)
+    things, by_delay = late.chooser.criterion_of_things(late.solution)
+    fewer, by_lag = lags.chooser.criterion_of_things(lags.solution)
+    # Where motions do not tell the scale of forces, what smoothing does looks like a lag.
+    least = settings.choice.lag * float(late.fitter.equation.used.sum())
+    gain = by_delay - by_lag if not late.may_have_any_gain else -np.inf
+    if gain > least or (gain > 0 and fewer < things):
+        return lags
+    return replace(late, or_lags=gain > 0)
+
+
+def _estimated(problem: Problem, trajectories: Trajectories, settings: QuickSettings) -> Missing:
+    """What is missing where commands are late, or lag."""
     simulator = robot_of(problem)
     equation = equation_of(problem, trajectories, settings.equation)
     wide_equation = equation_of(
@@ -450,6 +467,18 @@ def estimate_missing(
         if doubtful is None:
             return found
         solution = fitter.refined(fitter.solve(found.without(doubtful)))
+
+
+def _equation_like(
+    estimate: Missing,
+    problem: Problem,
+    trajectories: Trajectories,
+    settings: QuickSettings,
+    width: float | None = None,
+) -> Equation:
+    """An equation whose commands are late as those of an estimate are."""
+    own = replace(settings.equation, lagging=estimate.fitter.equation.lagging)
+    return equation_of(problem, trajectories, own, width=width)
 
 
 def _chosen(
@@ -512,7 +541,7 @@ def _with_bias(
     again = resimulated(extended, trajectories, settings.resimulation)
     if again is None:
         return estimate
-    equation = equation_of(problem, again, settings.equation)
+    equation = _equation_like(estimate, problem, again, settings)
     fitter = _fitter(simulator, equation, settings, estimate.fitter.along_tendons)
     if [term.label for term in fitter.terms] != [term.label for term in estimate.fitter.terms]:
         return estimate

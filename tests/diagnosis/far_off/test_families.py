@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dropo.diagnosis.far_off.families import with_families, with_lags_for_delays
+from dropo.diagnosis.far_off.families import late_otherwise, with_families
 from tests.models.coupled_wrist import coupled_wrist_problem
 from tests.models.far_off import torque_arm
 
@@ -56,11 +56,14 @@ def test_a_joint_that_follows_another_is_no_place():
     assert labels(found) == ["joint_damping:pitch", "joint_damping:lift"]
 
 
-def test_lags_take_the_place_of_delays():
-    """As long, behind the other numbers; a model without a delay stays as it is."""
+def test_lags_take_the_place_of_delays_and_the_reverse():
+    """As long, behind the other numbers; a model without either, or with both, stays as it is."""
     arm = torque_arm("actuator_delay:elbow_motor", "joint_armature:elbow")
     arm = arm.at(np.concatenate([arm.declared, [0.02, 0.01]]))
-    found = with_lags_for_delays(arm)
+    found = late_otherwise(arm)
     assert labels(found) == ["joint_armature:elbow", "actuator_lag:elbow_motor"]
     assert found.theta.tolist() == [*arm.declared, 0.01, 0.02]
-    assert with_lags_for_delays(found) is found
+    assert labels(late_otherwise(found)) == ["joint_armature:elbow", "actuator_delay:elbow_motor"]
+    for others in ((), ("actuator_delay:elbow_motor", "actuator_lag:elbow_motor")):
+        same = torque_arm("joint_armature:elbow", *others)
+        assert late_otherwise(same) is same

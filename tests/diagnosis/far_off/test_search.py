@@ -292,11 +292,12 @@ def test_kinds_that_are_needed_together_are_added_together(monkeypatch):
     assert len(found.numbers) == 4
 
 
+@pytest.mark.parametrize("begun", ["actuator_lag", "actuator_delay"])
 @pytest.mark.parametrize("late", ["actuator_lag", "actuator_delay"])
-def test_a_lag_takes_the_place_of_a_delay_where_the_machine_has_one(late):
-    """Its time constant within its error; the control: a delay stays."""
+def test_commands_lag_or_are_late_as_the_machines_do(late, begun):
+    """Whichever the search begins with, and its size within its error."""
     problem = hide("torque-arm", [f"{late}:elbow_motor=0.03"], seed=0, threads=1)
-    arm = torque_arm("actuator_delay:elbow_motor", problem=problem)
+    arm = torque_arm(f"{begun}:elbow_motor", problem=problem)
     explained = searched(arm.at(np.append(arm.declared, 0.03)), replace(SETTINGS, families=()))
     ((instance, (size,)),) = explained.model.numbers
     assert instance.effect == late
