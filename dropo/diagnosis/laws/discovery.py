@@ -208,7 +208,8 @@ def find_laws(
     tried = 0
     laws: dict[str, FoundLaw] = {}
     for _ in range(settings.laws):
-        taken = {instance.target for instance in last.accepted if instance.formula}
+        # Where there was a law, a review may have taken it out again: its label is used.
+        taken = {instance.target for instance in selection.library.instances if instance.formula}
         forces = residual_forces(selection.library, last, selection.floor)
         searched = {instance.effect for instance in instances}
         pool, ideas = _ideas(selection, last, forces, taken, searched, settings)
