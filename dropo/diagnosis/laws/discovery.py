@@ -12,7 +12,13 @@ from dropo.core.contracts.effect import EffectInstance, StepState
 from dropo.core.contracts.problem import Problem
 from dropo.core.services.validation import Array
 from dropo.diagnosis.findings.accuracy.horizons import horizons
-from dropo.diagnosis.laws.extension import extended, padded, padded_side, with_laws
+from dropo.diagnosis.laws.extension import (
+    extended,
+    padded,
+    padded_side,
+    places_of_laws,
+    with_laws,
+)
 from dropo.diagnosis.laws.forces import ResidualForces, residual_forces, step_errors
 from dropo.diagnosis.laws.pursuit import (
     Proposal,
@@ -208,8 +214,7 @@ def find_laws(
     tried = 0
     laws: dict[str, FoundLaw] = {}
     for _ in range(settings.laws):
-        # Where there was a law, a review may have taken it out again: its label is used.
-        taken = {instance.target for instance in selection.library.instances if instance.formula}
+        taken = places_of_laws(selection.library)
         forces = residual_forces(selection.library, last, selection.floor)
         searched = {instance.effect for instance in instances}
         pool, ideas = _ideas(selection, last, forces, taken, searched, settings)

@@ -35,6 +35,22 @@ def with_laws(library: Library, laws: Sequence[EffectInstance]) -> Library:
     return Library(simulator, instances, library.declared, library.differences, coarse)
 
 
+def places_of_laws(library: Library) -> set[str | None]:
+    """Return where a library has laws, one each: those that were taken out again, too.
+
+    Parameters
+    ----------
+    library : Library
+        Of a search.
+
+    Returns
+    -------
+    set of str or None
+        Joints.
+    """
+    return {instance.target for instance in library.instances if instance.formula}
+
+
 def extended(selection: Selection, library: Library) -> Selection:
     """Return a search in a larger library, its batches with places for what is new there.
 

@@ -5,7 +5,7 @@ of its drive's force and of what that was a moment ago: a sum of bumps in places
 It is bounded, fades away outside the data, and is written as a formula, like any law.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from math import log
 from typing import Any
@@ -19,7 +19,7 @@ from dropo.core.services.validation import Array
 from dropo.diagnosis.findings.accuracy.every_horizon import EveryHorizonSettings, worse_after
 from dropo.diagnosis.findings.accuracy.horizons import AfterHorizon, after_horizons
 from dropo.diagnosis.laws.discovery import program_of, values_at
-from dropo.diagnosis.laws.extension import extended, padded, with_laws
+from dropo.diagnosis.laws.extension import extended, padded, places_of_laws, with_laws
 from dropo.diagnosis.laws.forces import RANK, ResidualForces, residual_forces
 from dropo.diagnosis.search.confirmation import gain_of
 from dropo.diagnosis.search.linearization import Library, LinearizedWindows, shift_linearization
@@ -288,7 +288,7 @@ def learn_forces(
         return None
     places, draws = rng.spawn(2)
     forces = residual_forces(library, last, selection.floor)
-    chosen = _chosen(simulator, last, forces, places, settings)
+    chosen = _chosen(simulator, places_of_laws(library), forces, places, settings)
     if not chosen:
         return None
     solver = _Solver(chosen, forces.residuals, settings)
@@ -324,14 +324,16 @@ def learn_forces(
 
 def _chosen(
     simulator: RobotSimulator,
-    last: State,
+    taken: Collection[str | None],
     forces: ResidualForces,
     rng: np.random.Generator,
     settings: LearnedSettings,
 ) -> list[_Bumps]:
-    """At each joint the bumps that the residual forces ask for, where they do."""
+    """At each joint the bumps that the residual forces ask for, where they do.
+
+    taken: the joints at which there is a law.
+    """
     measured = set(simulator.layout.names)
-    taken = {instance.target for instance in last.accepted if instance.formula}
     driven = {one.id for one, _ in motors(simulator.model)}
     chosen = []
     for joint in joints(simulator.model):
