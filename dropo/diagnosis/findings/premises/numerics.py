@@ -98,9 +98,10 @@ def numerics(
     """
     sentences = []
     came, own = robot_of(given).model, robot_of(found).model
-    if friction_kind(own) is not friction_kind(came):
+    kind = friction_kind(own)
+    if kind in DOES and kind is not friction_kind(came):
         sentences.append(
-            f"Dry friction {DOES[friction_kind(own)]}, where MuJoCo's creeps and turns early: the"
+            f"Dry friction {DOES[kind]}, where MuJoCo's creeps and turns early: the"
             f" extended model has solimpfriction {impedance(own):.4f} and solreffriction"
             f" {time_constant(own):.4f}, which predicts data held out better."
         )

@@ -12,7 +12,7 @@ from dropo.core.contracts.effect import instances_of
 from dropo.core.records.trajectories import Trajectories
 from dropo.diagnosis import solving
 from dropo.diagnosis.findings.causes import standard_errors
-from dropo.diagnosis.findings.premises.numerics import _share_of_step, short_delay
+from dropo.diagnosis.findings.premises.numerics import _share_of_step, numerics, short_delay
 from dropo.diagnosis.search.arithmetic import Arithmetic, ArithmeticAlternatives, shift_in_time
 from dropo.diagnosis.search.linearization import Library, linearize, shift_linearization
 from dropo.diagnosis.search.refit import NO_INDICES, refit
@@ -23,6 +23,7 @@ from dropo.diagnosis.search.whitening import white
 from dropo.diagnosis.search.windows import split
 from dropo.diagnosis.setup import SearchedEffects, SearchSetup
 from dropo.simulators.mujoco.simulator import MujocoSimulator
+from tests.models.holding_servo import FRICTION, servo
 
 XML = """
 <mujoco>
@@ -347,3 +348,13 @@ def test_where_the_model_that_came_diverges_steps_change_less_than_causes():
     assert _share_of_step(finer, came, found, spread) == pytest.approx(0.25)
     came[1] = np.nan
     assert _share_of_step(finer, came, found, spread) == 0.0
+
+
+@pytest.mark.parametrize(("came", "found", "said"), [(0, 1, 1), (1, 0, 0), (1, 1, 0)])
+def test_dry_friction_is_spoken_of_where_it_is_no_longer_mujocos(came, found, said):
+    """From creeping (0) to holding (1); nothing is said of the reverse, or of what is as it was."""
+    simulators = (servo(FRICTION), servo(FRICTION, holding=True))
+    given, after = (SimpleNamespace(simulator=simulators[i]) for i in (came, found))
+    nothing = np.zeros(0)
+    sentences = numerics(given, after, None, None, None, (), nothing, unexplained=False)
+    assert sum("Dry friction holds what rests" in text for text in sentences) == said
