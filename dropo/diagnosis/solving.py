@@ -209,7 +209,6 @@ def _with_other_friction(
     if chosen is None:
         return setup, found
     chosen.library.simulator.steps = library.simulator.steps
-    chosen.selection.origins = dict(setup.selection.origins)
     return search_effects(chosen)
 
 
@@ -291,6 +290,7 @@ def _going_on(
 ) -> tuple[SearchSetup, State]:
     """A setup that is stepped otherwise, and the model that its search begins with, fitted."""
     other = _stepped(setup, arithmetic)
+    other.selection.origins = dict(setup.selection.origins)
     first = other.first()
     noise = first.train.whiten.noise
     state = other.selection.without_fitting(other.train, other.test, theta, noise, free, accepted)
@@ -519,7 +519,6 @@ def in_exact_steps(
             other, _ = _going_on(
                 setup, alternatives.winner, there.theta, there.free, there.accepted
             )
-            other.selection.origins = dict(selection.origins)
             return search_effects(other)
     return None
 

@@ -58,7 +58,7 @@ def alike_in_motions(
         With `others`, by a simulation of the windows to fit for each effect that is compared.
     """
     compared = [one for one in last.accepted if one.label in named and one.effect != PAYLOAD]
-    places = _places(simulator.model, {str(one.target) for one in compared})
+    places = _places(simulator.model, {one.target for one in compared if one.target is not None})
     taken = {one.label for one in last.accepted}
     offered = [
         one

@@ -326,9 +326,8 @@ class FarOffSearch:
         model = self._with_exact_steps(model, sides)
         model = self._without_needless(model, sides)
         model = self._with_steps_that_last(model, sides)
-        holding = model.with_friction(FrictionKind.HOLDING)
         creeping = model.friction is FrictionKind.CREEPING
-        if creeping and self._is_promised(model, holding, sides):
+        if creeping and self._is_promised(model, model.with_friction(FrictionKind.HOLDING), sides):
             model = self._with_holding_friction(model, sides)
         if whole.trajectories is not model.problem.trajectories:
             model = model.with_data_of(whole)

@@ -12,19 +12,19 @@ from dropo.diagnosis.search.trials import Batch, State
 
 
 def with_laws(library: Library, laws: Sequence[EffectInstance]) -> Library:
-    """Put laws into a library.
+    """Put laws, or other effects, into a library.
 
     Parameters
     ----------
     library : Library
         Around a MuJoCo model.
     laws : sequence of EffectInstance
-        As `dropo.effects.law.law_instance` makes them.
+        Effects that it does not have.
 
     Returns
     -------
     Library
-        Their constants stand behind all other numbers.
+        Their magnitudes stand behind all other numbers.
     """
     simulator = library.simulator.with_effects(laws)  # type: ignore[attr-defined]
     simulator.steps = library.simulator.steps

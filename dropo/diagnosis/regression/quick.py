@@ -434,15 +434,15 @@ def estimate_missing(
         As of `equation_of`.
     """
     late = _estimated(problem, trajectories, settings)
-    if not late.chooser.is_late(late.solution):
+    # Where motions do not tell the scale of forces, what smoothing does looks like a lag.
+    if late.may_have_any_gain or not late.chooser.is_late(late.solution):
         return late
     lagging = replace(settings, equation=replace(settings.equation, lagging=True))
     lags = _estimated(problem, trajectories, lagging)
     things, by_delay = late.chooser.criterion_of_things(late.solution)
     fewer, by_lag = lags.chooser.criterion_of_things(lags.solution)
-    # Where motions do not tell the scale of forces, what smoothing does looks like a lag.
     least = settings.choice.lag * float(late.fitter.equation.used.sum())
-    gain = by_delay - by_lag if not late.may_have_any_gain else -np.inf
+    gain = by_delay - by_lag
     if gain > least or (gain > 0 and fewer < things):
         return lags
     return replace(late, or_lags=gain > 0)
