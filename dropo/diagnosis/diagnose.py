@@ -91,6 +91,7 @@ from dropo.diagnosis.setup import (
 )
 from dropo.diagnosis.solving import (
     in_exact_steps,
+    in_shorter_steps,
     solved,
     that_may_be_nothing,
     with_another_set,
@@ -608,8 +609,11 @@ class Diagnose:
             setup = replace(setup, compared=True)
         # Where known effects leave something, it may follow a law that none of them stands for.
         if searched.laws is None and self._wants_laws(setup.library, searched.last, rest):
-            return self._with_laws(setup, searched, rng)
-        return None
+            further = self._with_laws(setup, searched, rng)
+        # A law's force is held over a physics step, which others may have been taken for.
+        if further is None and not (rest.calibrated and searched.laws is None):
+            further = in_shorter_steps(setup, searched, self.settings.noise)
+        return further
 
     def _learned(
         self, setup: SearchSetup, searched: SearchedEffects, rng: np.random.Generator

@@ -216,6 +216,8 @@ class SearchSetup:
         Whether laws were looked for in vain beyond what windows show.
     known : sequence of (EffectInstance, (q,) array)
         What regression is certain of: the search begins with it, if windows confirm it.
+    shortened : bool
+        Whether physics steps were made shorter beside all that was found.
     scaled : bool
         Whether masses and gains were brought back to what is known of them.
     """
@@ -240,6 +242,7 @@ class SearchSetup:
     compared: bool = False
     sought: bool = False
     known: ActiveEffects = ()
+    shortened: bool = False
     scaled: bool = False
 
     @property

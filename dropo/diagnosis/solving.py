@@ -523,6 +523,51 @@ def in_exact_steps(
     return None
 
 
+def in_shorter_steps(
+    setup: SearchSetup, searched: SearchedEffects, settings: WhitenessSettings
+) -> tuple[SearchSetup, SearchedEffects] | None:
+    """Go on in shorter physics steps, where these explain what remains beside all that was found.
+
+    What was missing hid that: of a force that turns suddenly, as a stop does, even exact steps must
+    be short. What coarse steps left may have been taken for noise that is not white.
+
+    Parameters
+    ----------
+    setup : SearchSetup
+        What the search works on.
+    searched : SearchedEffects
+        What it ended with.
+    settings : WhitenessSettings
+        When noise is not taken to be white.
+
+    Returns
+    -------
+    tuple of SearchSetup and SearchedEffects or None
+        None where steps explain nothing more, or this was done before.
+    """
+    if setup.shortened or setup.steps_chosen:
+        return None
+    library, last, selection = setup.library, searched.last, setup.selection
+    alternatives = ArithmeticAlternatives(
+        library, selection.floor, selection.settings, selection.log, searched.first
+    )
+    if setup.exact:
+        shorter = alternatives.shorter(last)
+    else:
+        alternatives(last, None)
+        shorter = alternatives.winner or UNCHANGED
+    if shorter == UNCHANGED:
+        return None
+    goal = last.theta, last.free, last.accepted
+    setup = replace(setup, noise=None, shortened=True)
+    other, begun = _going_on(setup, shorter, *goal)
+    noise = other_noise(other.library, begun.train, selection.floor, settings)
+    if noise is not None:
+        other, _ = _going_on(replace(setup, noise=noise), shorter, *goal)
+    other, found = search_effects(other)
+    return other, replace(found, laws=searched.laws)
+
+
 def with_another_set(
     setup: SearchSetup, searched: SearchedEffects, settings: SetSettings
 ) -> tuple[SearchSetup, SearchedEffects] | None:

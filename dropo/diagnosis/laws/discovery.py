@@ -4,7 +4,6 @@ confirmed on data held out in competition with the effects of the registry.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import numpy as np
 
@@ -15,7 +14,6 @@ from dropo.diagnosis.findings.accuracy.horizons import horizons
 from dropo.diagnosis.laws.extension import (
     extended,
     padded,
-    padded_side,
     places_of_laws,
     with_laws,
 )
@@ -27,7 +25,7 @@ from dropo.diagnosis.laws.pursuit import (
     propose,
 )
 from dropo.diagnosis.laws.shapes import LawTerm, Ranges, ShapeSettings, shapes_at
-from dropo.diagnosis.search.confirmation import gain_of, is_confirmed
+from dropo.diagnosis.search.confirmation import SelectionSettings, gain_of, is_confirmed
 from dropo.diagnosis.search.linearization import (
     Library,
     LinearizedWindows,
@@ -97,6 +95,8 @@ class LawSettings:
 SETTINGS = LawSettings()
 _Tried = tuple[Trial, Proposal, list[Proposal], Library]
 """A refitted law: its trial, its formula, others that do the same, and the library with it."""
+_Views = tuple[LinearizedWindows, LinearizedWindows]
+"""Windows under a model's own physics steps, and as infinitely short ones would predict them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,7 +230,7 @@ def find_laws(
         # With the law, others may be confirmed, and what stood in for it not be needed any more.
         last, reviews = review(selection, last)
         last = selection.run(first, last, instances)
-        last, reviews = review(selection, last)
+        last, reviews = _without_what_steps_do(selection, last)
     laws = {
         one.label: replace(laws[one.label], curve=_curve(selection.library, last, one, laws))
         for one in last.accepted
@@ -277,8 +277,11 @@ def _ideas(
     for joint in places:
         own = shapes[joint.name]
         rows = _rows(simulator, forces, joint, own, settings)
-        added += _proposals(joint, own, rows, forces, pool, settings)
         replaced = _stand_ins(simulator, state, joint, own)
+        # A term beside the effect that it stands for would take back what is too much of that.
+        there = {one.effect for one in replaced}
+        new = [i for i, shape in enumerate(own) if there.isdisjoint(shape.effects)]
+        added += _proposals(joint, [own[i] for i in new], rows[new], forces, pool, settings)
         if replaced:
             numbers = np.concatenate([selection.library.indices_of[one.label] for one in replaced])
             bare = forces.without(selection.library, numbers)
@@ -586,6 +589,9 @@ def _confirmed(
 ) -> tuple[EffectInstance, FoundLaw, State, Library] | None:
     """The law that data held out confirm, what is said of it, the state and library with it.
 
+    One with fewer numbers, in the place of effects, is chosen unless the first is better by more
+    than what the length of the physics steps does.
+
     count: formulas and effects that were tried; recovered: as of `LawSettings`.
     """
     if not ideas:
@@ -594,7 +600,12 @@ def _confirmed(
     tried = [(_tried(selection, one.base, one.proposal, one.alike), one.base) for one in ideas]
     ranked, short = _ranked(selection, state, tried)
     needed = settings.needed_gain(count)
+    before = _views(selection.library, state, selection)
+    chosen: tuple[EffectInstance, FoundLaw, State, Library] | None = None
+    views: _Views | None = None
     for one, base in ranked[: settings.maximum_polished]:
+        if chosen is not None and len(one[0].state.free) >= len(chosen[2].free):
+            continue
         gain, _ = gain_of(state.train, one[0].state.train)
         needed_fit = settings.minimum_fitted_gain
         added = len(base.accepted) == len(state.accepted)
@@ -612,14 +623,18 @@ def _confirmed(
         if added and held_out < settings.polished_fraction * needed:
             continue
         trial, proposal, library, polished = _pruned(selection, base, one, polished, short)
+        after = _views(library, polished, selection)
         better = is_confirmed(state.test, polished.test, needed, settings)
-        better = better and _of_the_machine(library, state, polished, needed, selection)
+        better = better and _is_of_the_machine(before, after, needed, settings)
         if not better and not _is_simpler(state, polished, selection):
+            continue
+        if views is not None and _is_of_the_machine(after, views, needed, settings):
             continue
         refitted = [each for each, _ in tried]
         summary = _summary_of(proposal, one[2], trial, polished, refitted, selection)
-        return trial.candidate.instance, summary, polished, library
-    return None
+        chosen = trial.candidate.instance, summary, polished, library
+        views = after
+    return chosen
 
 
 def _ranked(
@@ -682,23 +697,41 @@ def _is_simpler(state: State, polished: State, selection: Selection) -> bool:
     return len(polished.free) < len(state.free) and gain > selection.settings.negligible_gain
 
 
-def _of_the_machine(
-    library: Library, state: State, polished: State, needed: float, selection: Selection
+def _views(library: Library, state: State, selection: Selection) -> _Views:
+    """The windows held out, with a model's own physics steps and with infinitely short ones."""
+    return state.test, _with_short_steps(library, state.test, selection)
+
+
+def _is_of_the_machine(
+    before: _Views, after: _Views, needed: float, settings: SelectionSettings
 ) -> bool:
-    """Whether a law is more than what the length of the physics steps does.
+    """Whether a model is better than another by more than what the length of physics steps does.
 
-    With the model's own steps or with infinitely short ones, it is confirmed against the model
-    without it under both: a machine may be a simulation whose steps are the model's.
+    With its own steps or with infinitely short ones, it is confirmed against the other under both:
+    a machine may be a simulation whose steps are the model's.
     """
-    own = padded_side(state.test, library)
-    exact = partial(_with_short_steps, library, selection=selection)
-    without = (own, exact(own))
+    return any(all(is_confirmed(old, new, needed, settings) for old in before) for new in after)
 
-    def holds(after: LinearizedWindows) -> bool:
-        """Whether it is confirmed against the model without it under both."""
-        return all(is_confirmed(before, after, needed, selection.settings) for before in without)
 
-    return holds(polished.test) or holds(exact(polished.test))
+def _without_what_steps_do(selection: Selection, state: State) -> tuple[State, dict[str, Review]]:
+    """A model with laws, reviewed, without effects that do what the length of the steps does.
+
+    A law's force is held over a physics step, which its own drive's gain may seem to make up for.
+    Such an effect gains nothing as short steps would predict.
+    """
+    library = selection.library
+    while True:
+        state, reviews = review(selection, state)
+        exact = _with_short_steps(library, state.test, selection)
+        idle = []
+        for one in state.accepted:
+            without = reviews[one.label].without
+            gain, _ = gain_of(_with_short_steps(library, without.test, selection), exact)
+            if not one.formula and gain < selection.settings.negligible_gain:
+                idle.append(without)
+        if not idle:
+            return state, reviews
+        state = max(idle, key=penalized_log_likelihood)
 
 
 def _tried(
@@ -725,9 +758,11 @@ def _pruned(
     """
     trial, proposal, alike, library = tried
     settings = selection.settings
+    if len(proposal.shapes) == 1:
+        return trial, proposal, library, polished
+    whole_as_tried = _view(library, trial.state.test, selection, short)
+    whole = _view(library, polished.test, selection, short)
     for i in range(len(proposal.shapes)):
-        if len(proposal.shapes) == 1:
-            break
         kept = [k for k in range(len(proposal.shapes)) if k != i]
         shapes = tuple(proposal.shapes[k] for k in kept)
         if all(shape.known for shape in shapes):
@@ -735,18 +770,15 @@ def _pruned(
         sizes = _fitted(proposal, trial.candidate.instance, polished, library)
         fewer = replace(proposal, shapes=shapes, sizes=sizes[kept])
         again = _tried(selection, state, fewer, alike)
-        as_tried, _ = gain_of(
-            _view(again[3], again[0].state.test, selection, short),
-            _view(library, trial.state.test, selection, short),
-        )
+        without = _view(again[3], again[0].state.test, selection, short)
+        as_tried, _ = gain_of(without, whole_as_tried)
         of_the_others = (1 - settings.polished_fraction) * max(0.0, trial.held_out_gain)
         if as_tried > settings.negligible_gain + of_the_others:
             continue
-        whole = extended(selection, again[3]).polish(again[0].state)
-        without = _view(again[3], whole.test, selection, short)
-        lost, _ = gain_of(without, _view(library, polished.test, selection, short))
+        refitted = extended(selection, again[3]).polish(again[0].state)
+        lost, _ = gain_of(_view(again[3], refitted.test, selection, short), whole)
         if lost < settings.negligible_gain:
-            return _pruned(selection, state, (again[0], fewer, alike, again[3]), whole, short)
+            return _pruned(selection, state, (again[0], fewer, alike, again[3]), refitted, short)
     return trial, proposal, library, polished
 
 

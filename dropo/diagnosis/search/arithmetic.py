@@ -131,7 +131,7 @@ class ArithmeticSettings:
     fewest : int
         ... if these are so many at least.
     finest : int
-        A winner's steps are halved as long as that is confirmed, down to this part.
+        Steps are halved as long as that is confirmed, down to this part.
     """
 
     alternatives: tuple[Arithmetic, ...] = (
@@ -284,7 +284,9 @@ class ArithmeticAlternatives:
             and is_confirmed(alternative.test, found.test, more, self.selection)
         ):
             return False
-        self.winner = self._refined(simulator, arithmetic, alternative, needed)
+        if arithmetic.is_exact:
+            arithmetic = self._refined(simulator, arithmetic, alternative, needed)
+        self.winner = arithmetic
         self.fitted = alternative
         return True
 
@@ -326,6 +328,24 @@ class ArithmeticAlternatives:
             return False
         self.winner = arithmetic
         return True
+
+    def shorter(self, state: State) -> Arithmetic:
+        """Return shorter steps that explain the data better than the ones there are.
+
+        Parameters
+        ----------
+        state : State
+            A model.
+
+        Returns
+        -------
+        Arithmetic
+            `UNCHANGED` where windows held out confirm none.
+        """
+        simulator = self._robot
+        if simulator is None:
+            return UNCHANGED
+        return self._refined(simulator, UNCHANGED, state, self.selection.needed_gain(1))
 
     def _alternatives(self, simulator: RobotSimulator) -> tuple[Arithmetic, ...]:
         """What is tried beside an effect, the cheapest first."""
@@ -425,8 +445,8 @@ class ArithmeticAlternatives:
     def _refined(
         self, simulator: RobotSimulator, arithmetic: Arithmetic, alternative: State, needed: float
     ) -> Arithmetic:
-        """A winner's steps, halved as long as windows held out confirm that."""
-        while arithmetic.is_exact and arithmetic.finer < self.settings.finest:
+        """Steps that are halved as long as windows held out confirm that."""
+        while arithmetic.finer < self.settings.finest:
             finer = replace(arithmetic, finer=2 * arithmetic.finer)
             halved = self._tried(simulator, finer, alternative)
             if not is_confirmed(alternative.test, halved.test, needed, self.selection):
