@@ -50,7 +50,8 @@ from dropo.diagnosis.findings.remains.remaining import are_measured, remaining
 from dropo.diagnosis.findings.remains.unexplained_forces import impulses
 from dropo.diagnosis.findings.stability import stability
 from dropo.diagnosis.findings.to_type import to_type
-from dropo.diagnosis.laws.discovery import find_laws, may_stand_for_one_law
+from dropo.diagnosis.laws.discovery import find_laws
+from dropo.diagnosis.laws.ideas import may_stand_for_one_law
 from dropo.diagnosis.laws.learned import WithLearned, learn_forces
 from dropo.diagnosis.parts import Cause, Leader, Remaining
 from dropo.diagnosis.regression.wiring import Wiring, wiring_of

@@ -5,8 +5,8 @@ import numpy as np
 from dropo.core.contracts.effect import EffectInstance
 from dropo.core.records.figure_data import LawCurve
 from dropo.core.services.validation import Array
-from dropo.diagnosis.laws.discovery import joint_at, program_of, values_at
 from dropo.diagnosis.laws.forces import residual_forces
+from dropo.diagnosis.laws.ideas import joint_at, program_of, values_at
 from dropo.diagnosis.search.linearization import Library
 from dropo.diagnosis.search.trials import State
 from dropo.effects.law import units_at

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from dropo.core.contracts.effect import EffectInstance, StepState
+from dropo.core.contracts.effect import EffectInstance
 from dropo.core.contracts.problem import Problem
 from dropo.core.services.validation import Array
 from dropo.diagnosis.findings.accuracy.horizons import horizons
@@ -18,13 +18,21 @@ from dropo.diagnosis.laws.extension import (
     with_laws,
 )
 from dropo.diagnosis.laws.forces import ResidualForces, residual_forces, step_errors
-from dropo.diagnosis.laws.pursuit import (
-    Proposal,
-    PursuitSettings,
-    different,
-    propose,
+from dropo.diagnosis.laws.ideas import (
+    LETTER,
+    IdeaSettings,
+    Terms,
+    formula_of,
+    ideas_from,
+    joint_at,
+    name_of,
+    program_of,
+    stand_ins,
+    terms_of,
+    without_law,
 )
-from dropo.diagnosis.laws.shapes import LawTerm, Ranges, ShapeSettings, shapes_at
+from dropo.diagnosis.laws.pursuit import Proposal
+from dropo.diagnosis.laws.shapes import LawTerm, Ranges, shapes_at
 from dropo.diagnosis.search.confirmation import SelectionSettings, gain_of, is_confirmed
 from dropo.diagnosis.search.linearization import (
     Library,
@@ -32,7 +40,7 @@ from dropo.diagnosis.search.linearization import (
     estimate_noise,
     whitener,
 )
-from dropo.diagnosis.search.review import Review, review, without_effects
+from dropo.diagnosis.search.review import Review, review
 from dropo.diagnosis.search.screening import Candidate
 from dropo.diagnosis.search.selection import Selection
 from dropo.diagnosis.search.trials import (
@@ -41,14 +49,8 @@ from dropo.diagnosis.search.trials import (
     most_plausible_first,
     penalized_log_likelihood,
 )
-from dropo.effects.law import hidden_states, joint_variables, law_instance
-from dropo.effects.support.formula_values import Program, evaluate
-from dropo.mjmodel.dynamics.forces import motors
-from dropo.mjmodel.joints import Joint, actuators, joints
+from dropo.effects.law import law_instance
 from dropo.mjmodel.robot_simulator import RobotSimulator
-
-LETTER = "c"
-"""What the constants before the terms are called."""
 
 
 @dataclass(frozen=True)
@@ -57,39 +59,25 @@ class LawSettings:
 
     Attributes
     ----------
-    refitted : int
-        Formulas that are fitted by simulation for each law.
-    replacing : int
-        Formulas that are so fitted in the place of effects that were accepted at a joint.
     recovered : float
-        Fraction of what those effects explain that a formula must explain before it is fitted to
-        the end.
+        Fraction of what effects explain that were accepted at a joint that a formula in their place
+        must explain before it is fitted to the end.
+    beyond : float
+        How many times as much as it promised the best formula must gain for others to be looked for
+        from there: the forces were found far from the motion then.
     laws : int
         Laws that are accepted at most, each at a joint of its own.
-    similarity : float
-        Cosine from which two formulas do the same to the data.
     worse : float
         Part by which errors after no printed horizon may grow.
-    quantiles : int
-        Quantiles that say how a joint moves.
-    chunk : int
-        Terms that are whitened at once.
-    shapes : ShapeSettings
-        Which terms there are.
-    pursuit : PursuitSettings
-        How formulas are put together.
+    ideas : IdeaSettings
+        Which formulas are proposed.
     """
 
-    refitted: int = 6
-    replacing: int = 3
     recovered: float = 0.95
+    beyond: float = 1.5
     laws: int = 2
-    similarity: float = 0.998
     worse: float = 0.03
-    quantiles: int = 41
-    chunk: int = 64
-    shapes: ShapeSettings = field(default_factory=ShapeSettings)
-    pursuit: PursuitSettings = field(default_factory=PursuitSettings)
+    ideas: IdeaSettings = field(default_factory=IdeaSettings)
 
 
 SETTINGS = LawSettings()
@@ -97,15 +85,6 @@ _Tried = tuple[Trial, Proposal, list[Proposal], Library]
 """A refitted law: its trial, its formula, others that do the same, and the library with it."""
 _Views = tuple[LinearizedWindows, LinearizedWindows]
 """Windows under a model's own physics steps, and as infinitely short ones would predict them."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Idea:
-    """A proposed formula, others that do the same, and the model that it is added to."""
-
-    proposal: Proposal
-    alike: list[Proposal]
-    base: State
 
 
 @dataclass(frozen=True)
@@ -217,11 +196,13 @@ def find_laws(
         taken = places_of_laws(selection.library)
         forces = residual_forces(selection.library, last, selection.floor)
         searched = {instance.effect for instance in instances}
-        pool, ideas = _ideas(selection, last, forces, taken, searched, settings)
-        tried = max(tried, pool)
-        count = len(instances) + pool
-        selection.progress(0.9, f"fitting laws, of {pool} terms tried")
-        found = _confirmed(selection, last, ideas, count, settings.recovered)
+        simulator: RobotSimulator = selection.library.simulator
+        terms = terms_of(simulator, forces, taken, searched, settings.ideas)
+        tried = max(tried, terms.count)
+        selection.progress(0.9, f"fitting laws, of {terms.count} terms tried")
+        refitted = _refitted(selection, last, forces, terms, settings)
+        count = len(instances) + terms.count
+        found = _confirmed(selection, last, refitted, count, settings.recovered)
         if found is None:
             break
         law, summary, state, larger = found
@@ -242,74 +223,6 @@ def find_laws(
     return WithLaws(selection, first, last, reviews, laws, tried)
 
 
-def _ideas(
-    selection: Selection,
-    state: State,
-    forces: ResidualForces,
-    taken: set[str | None],
-    searched: set[str],
-    settings: LawSettings,
-) -> tuple[int, list[_Idea]]:
-    """How many terms there are, and the formulas that promise most.
-
-    They are added to the model, or to the model without the effects at their joint that they may
-    stand for: several of these look like one law, and leave too little of it to be seen.
-    """
-    simulator = selection.library.simulator
-    if not isinstance(simulator, RobotSimulator):
-        raise AssertionError("laws are looked for around a MuJoCo model")
-    measured = set(simulator.layout.names)
-    places = [
-        joint
-        for joint in joints(simulator.model)
-        if {f"qpos.{joint.name}", f"qvel.{joint.name}"} <= measured and joint.name not in taken
-    ]
-    names = [joint.name for joint in places]
-    shapes = {
-        joint.name: shapes_at(
-            _ranges(simulator, forces, joint, names, searched, settings), settings.shapes
-        )
-        for joint in places
-    }
-    pool = sum(map(len, shapes.values()))
-    added: list[Proposal] = []
-    replacing: list[tuple[Proposal, list[EffectInstance]]] = []
-    for joint in places:
-        own = shapes[joint.name]
-        rows = _rows(simulator, forces, joint, own, settings)
-        replaced = _stand_ins(simulator, state, joint, own)
-        # A term beside the effect that it stands for would take back what is too much of that.
-        there = {one.effect for one in replaced}
-        new = [i for i, shape in enumerate(own) if there.isdisjoint(shape.effects)]
-        added += _proposals(joint, [own[i] for i in new], rows[new], forces, pool, settings)
-        if replaced:
-            numbers = np.concatenate([selection.library.indices_of[one.label] for one in replaced])
-            bare = forces.without(selection.library, numbers)
-            found = _proposals(joint, own, rows, bare, pool, settings)
-            replacing += [(proposal, replaced) for proposal in found]
-    ideas = [
-        _Idea(first, alike, state) for first, alike in _chosen(added, settings.refitted, settings)
-    ]
-    by_joint = {proposal.joint: replaced for proposal, replaced in replacing}
-    bases = {name: without_effects(selection, state, own) for name, own in by_joint.items()}
-    proposals = [proposal for proposal, _ in replacing]
-    for first, alike in _chosen(proposals, settings.replacing, settings):
-        ideas.append(_Idea(first, alike, bases[first.joint]))
-    return pool, ideas
-
-
-def _stand_ins(
-    simulator: RobotSimulator, state: State, joint: Joint, shapes: Sequence[LawTerm]
-) -> list[EffectInstance]:
-    """The accepted effects at a joint, or of its drives, for which terms of laws stand."""
-    kinds = {effect for shape in shapes for effect in shape.effects}
-    places = {joint.name}
-    for drive in actuators(simulator.model):
-        if drive.joint is not None and drive.joint.id == joint.id:
-            places.add(drive.name)
-    return [one for one in state.accepted if one.effect in kinds and one.target in places]
-
-
 def _curve(
     library: Library, state: State, law: EffectInstance, laws: Mapping[str, FoundLaw]
 ) -> str:
@@ -322,7 +235,7 @@ def _curve(
         raise AssertionError("laws are looked for around a MuJoCo model")
     joint = joint_at(simulator, str(law.target))
     every = shapes_at(Ranges(np.ones(2), np.ones(2), True, (), 1.0, True))
-    beside = {one.effect for one in _stand_ins(simulator, state, joint, every)}
+    beside = {one.effect for one in stand_ins(simulator, state, joint, every)}
     pieces: dict[tuple[str, str], set[str]] = {}
 
     def note(shape: LawTerm, called: str) -> None:
@@ -345,247 +258,44 @@ def _curve(
     return ""
 
 
-def may_stand_for_one_law(library: Library, state: State) -> bool:
-    """Say whether several effects that were accepted at one joint may be one law.
-
-    Parameters
-    ----------
-    library : Library
-        The simulator with every effect.
-    state : State
-        The model with the effects.
-
-    Returns
-    -------
-    bool
-    """
-    simulator = library.simulator
-    if not isinstance(simulator, RobotSimulator):
-        return False
-    every = shapes_at(Ranges(np.ones(2), np.ones(2), True, (), 1.0, True))
-    found = (_stand_ins(simulator, state, joint, every) for joint in joints(simulator.model))
-    return any(len(one) > 1 for one in found)
-
-
-def _proposals(
-    joint: Joint,
-    shapes: list[LawTerm],
-    rows: Array,
+def _refitted(
+    selection: Selection,
+    state: State,
     forces: ResidualForces,
-    pool: int,
+    terms: Terms,
     settings: LawSettings,
-) -> list[Proposal]:
-    """The formulas of a joint that promise something.
+) -> list[tuple[_Tried, State]]:
+    """The formulas that promise most, refitted by simulation, each with the model it is added to.
 
-    rows: (K, N) the whitened responses to its K terms; pool: terms at all joints.
+    Where the best gains more than the forces promised, those were found too far from the motion:
+    more are proposed by the forces that are found with it, and what it explains.
     """
-    columns, full = forces.unexplained(rows)
-    return propose(
-        joint.name,
-        shapes,
-        columns,
-        forces.residuals,
-        forces.variance,
-        forces.windows.windows.steps,
-        pool,
-        full,
-        settings.pursuit,
+    library = selection.library
+    ideas = ideas_from(selection, library, state, forces, terms, settings.ideas)
+    tried = [(_tried(selection, one.base, one.proposal, one.alike), one.base) for one in ideas]
+    if not tried:
+        return []
+    best, base = max(tried, key=lambda one: penalized_log_likelihood(one[0][0].state))
+    trial, proposal, _, larger = best
+    if trial.fitted_gain < settings.beyond * proposal.gain:
+        return tried
+    again = without_law(
+        larger, residual_forces(larger, trial.state, selection.floor), trial.candidate.instance
     )
-
-
-def _chosen(
-    proposals: list[Proposal], most: int, settings: LawSettings
-) -> list[tuple[Proposal, list[Proposal]]]:
-    """The best that differ, but of each joint and number of terms two at most, each with others
-    like it.
-    """
-    ordered = sorted(proposals, key=lambda one: -one.score)
-    chosen: list[tuple[Proposal, list[Proposal]]] = []
-    counts: dict[tuple[str, int], int] = {}
-    for group in different(ordered, settings.similarity):
-        key = (group[0].joint, len(group[0].shapes))
-        counts[key] = counts.get(key, 0) + 1
-        if counts[key] <= 2 and len(chosen) < most:
-            chosen.append(group)
-    return chosen
-
-
-def _ranges(
-    simulator: RobotSimulator,
-    forces: ResidualForces,
-    joint: Joint,
-    measured: Sequence[str],
-    searched: set[str],
-    settings: LawSettings,
-) -> Ranges:
-    """How a joint moves in the windows."""
-    grid = np.linspace(0, 1, settings.quantiles)
-    driven = {one.id for one, _ in motors(simulator.model)}
-    return Ranges(
-        q=np.quantile(forces.states.qpos[:, joint.qpos], grid),
-        v=np.quantile(forces.states.qvel[:, joint.qvel], grid),
-        motor=joint.id in driven,
-        others=tuple(name for name in measured if name != joint.name),
-        seconds=float(forces.past.states[:, 0].max()),
-        hinge=joint.kind == "hinge",
-        effects=searched,
-    )
-
-
-def _rows(
-    simulator: RobotSimulator,
-    forces: ResidualForces,
-    joint: Joint,
-    shapes: Sequence[LawTerm],
-    settings: LawSettings,
-) -> Array:
-    """The whitened responses (K, N) to the terms."""
-    context = simulator.effect_context
-    values = np.empty((len(shapes), len(forces.states.time)))
-    shared: dict[tuple[str, str], Array] = {}
-    for i, shape in enumerate(shapes):
-        own = dict(shape.own) | {LETTER: 1.0}
-        text = f"{LETTER} * ({shape.written([name for name, _ in shape.own])})"
-        law = law_instance(context, joint.name, text)
-        constants = np.array([own[quantity.name] for quantity in law.quantities])
-        values[i] = values_at(simulator, forces, joint, program_of(law), constants, shared)
-    parts = [
-        forces.rows(values[first : first + settings.chunk], joint.qvel)
-        for first in range(0, len(values), settings.chunk)
-    ]
-    return np.concatenate(parts)
-
-
-def joint_at(simulator: RobotSimulator, name: str) -> Joint:
-    """Find a slide or hinge by its name.
-
-    Parameters
-    ----------
-    simulator : RobotSimulator
-        The model.
-    name : str
-        The joint's name.
-
-    Returns
-    -------
-    Joint
-
-    Raises
-    ------
-    StopIteration
-        If the model has no such slide or hinge.
-    """
-    return next(joint for joint in joints(simulator.model) if joint.name == name)
-
-
-def program_of(law: EffectInstance) -> Program:
-    """Return what a law of a joint evaluates.
-
-    Parameters
-    ----------
-    law : EffectInstance
-        A law, as `dropo.effects.law.law_instance` makes it.
-
-    Returns
-    -------
-    Program
-        Its formula, compiled.
-    """
-    hook = law.force
-    program: Program = hook.args[-1]  # type: ignore[union-attr]
-    return program
-
-
-def values_at(
-    simulator: RobotSimulator,
-    forces: ResidualForces,
-    joint: Joint,
-    program: Program,
-    constants: Array,
-    shared: dict[tuple[str, str], Array],
-) -> Array:
-    """Evaluate a formula in the states of all windows.
-
-    Parameters
-    ----------
-    simulator : RobotSimulator
-        The model.
-    forces : ResidualForces
-        The windows.
-    joint : Joint
-        Where the formula acts.
-    program : Program
-        The formula.
-    constants : (q,) array
-        Its constants.
-    shared : dict
-        Variables that were computed before; those of this formula are added.
-
-    Returns
-    -------
-    (W (L + 1),) array
-    """
-    ids = tuple({one.id: own for one, own in motors(simulator.model)}.get(joint.id, ()))
-    others = tuple((one.name, one.qpos, one.qvel) for one in joints(simulator.model))
-
-    def variables(state: StepState) -> dict[tuple[str, str], Array]:
-        """The variables of the formula."""
-        return joint_variables(state, joint, ids, others, program.variables)
-
-    if not program.hidden:
-        missing = [one for one in program.variables if one not in shared]
-        shared |= joint_variables(forces.states, joint, ids, others, missing)
-        if not program.variables:
-            return np.broadcast_to(evaluate(program, {}, constants, {}), forces.states.time.shape)
-        return evaluate(program, {one: shared[one] for one in program.variables}, constants, {})
-    # Hidden states follow the recorded motion from its beginning.
-    hidden = hidden_states(program, forces.states, forces.past, variables, constants)
-    rows = forces.past.states
-    model = simulator.model
-    time, qpos, qvel, act = np.split(rows, np.cumsum([1, model.nq, model.nv]), axis=1)
-    state = StepState(qpos, qvel, forces.past.commands, 0, act, forces.states.model, time[:, 0])
-    whole = evaluate(program, variables(state), constants, dict(hidden))
-    after = forces.steps[:, -1:] + 1
-    last = np.minimum(after, len(whole) - 1)
-    last = np.where(rows[last, 0] == 0, forces.steps[:, -1:], last)
-    return whole[np.concatenate([forces.steps, last], axis=1)].ravel()
-
-
-def formula_of(proposal: Proposal) -> tuple[str, dict[str, float]]:
-    """Write a proposal as a formula with first sizes of its constants.
-
-    Parameters
-    ----------
-    proposal : Proposal
-        The terms and the constants before them.
-
-    Returns
-    -------
-    text : str
-        Such as "-c * abs(v) * v", with positive constants.
-    sizes : dict of str to float
-        By constant.
-    """
-    sizes: dict[str, float] = {}
-    text = ""
-    several = len(proposal.shapes) > 1
-    for i, (shape, size) in enumerate(zip(proposal.shapes, proposal.sizes.tolist(), strict=True)):
-        names = []
-        for name, first in shape.own:
-            own = f"{name}{i + 1}" if several else name
-            sizes[own] = first
-            names.append(own)
-        letter = f"{LETTER}{i + 1}" if several else LETTER
-        sizes[letter] = abs(size)
-        sign = "-" if size < 0 else "+"
-        term = f"{letter} * {shape.written(names)}".removesuffix(" * 1")
-        text += f" {sign} {term}"
-    text = text.strip()
-    return (text[2:] if text.startswith("+") else f"-{text[2:]}"), sizes
+    there = terms.at(proposal.joint)
+    known = {formula_of(one.proposal)[0] for one in ideas if one.base.accepted == base.accepted}
+    for one in ideas_from(selection, larger, base, again, there, settings.ideas):
+        if formula_of(one.proposal)[0] not in known or one.base is not base:
+            tried.append((_tried(selection, one.base, one.proposal, one.alike), one.base))
+    return tried
 
 
 def _confirmed(
-    selection: Selection, state: State, ideas: Sequence[_Idea], count: int, recovered: float
+    selection: Selection,
+    state: State,
+    tried: Sequence[tuple[_Tried, State]],
+    count: int,
+    recovered: float,
 ) -> tuple[EffectInstance, FoundLaw, State, Library] | None:
     """The law that data held out confirm, what is said of it, the state and library with it.
 
@@ -594,10 +304,9 @@ def _confirmed(
 
     count: formulas and effects that were tried; recovered: as of `LawSettings`.
     """
-    if not ideas:
+    if not tried:
         return None
     settings = selection.settings
-    tried = [(_tried(selection, one.base, one.proposal, one.alike), one.base) for one in ideas]
     ranked, short = _ranked(selection, state, tried)
     needed = settings.needed_gain(count)
     before = _views(selection.library, state, selection)
@@ -830,24 +539,6 @@ def _summary_of(
         why = f"similarity {float(like.signature @ proposal.signature):.3f}"
         others.setdefault(f"{like.joint}:{text}", OtherFormula(text, like.joint, why))
     return FoundLaw(name_of(proposal), tuple(others.values())[:4], proposal.shapes)
-
-
-def name_of(proposal: Proposal) -> str:
-    """Name the nearest known law: that of the terms that are no known effects.
-
-    Parameters
-    ----------
-    proposal : Proposal
-        The terms of a formula.
-
-    Returns
-    -------
-    str
-        The laws' names, joined by "and".
-    """
-    names = [shape.law for shape in proposal.shapes if not shape.known]
-    beside = [shape.law for shape in proposal.shapes if shape.known]
-    return " and ".join(dict.fromkeys([*names, *beside]))
 
 
 def _some_horizon_is_worse(

@@ -106,9 +106,25 @@ class ResidualForces:
         -------
         (K, N) array
         """
+        return self.windows.flat(self.changes(values, dof))
+
+    def changes(self, values: Array, dof: int) -> Array:
+        """Return what forces at a degree of freedom change.
+
+        Parameters
+        ----------
+        values : (K, W (L + 1)) array
+            K forces in all states [N, N m].
+        dof : int
+            Where they act.
+
+        Returns
+        -------
+        (K, W, n) array
+            Of the predictions, in the signals' units.
+        """
         pieces = self.by_piece(values)
-        changes = np.einsum("wnp,kwp->kwn", self.responses[..., dof], pieces)
-        return self.windows.flat(changes)
+        return np.asarray(np.einsum("wnp,kwp->kwn", self.responses[..., dof], pieces))
 
     def unexplained(self, rows: Array) -> tuple[Array, Array]:
         """Take what is explained anyway out of whitened changes.
@@ -132,31 +148,27 @@ class ResidualForces:
         left[np.linalg.norm(left, axis=1) < RANK * lengths] = 0.0
         return left, lengths
 
-    def without(self, library: Library, numbers: np.ndarray) -> "ResidualForces":
-        """Return the forces that are missing where some fitted numbers are 0.
+    def without(self, numbers: np.ndarray, changes: Array) -> "ResidualForces":
+        """Return the forces that are missing without what some fitted numbers stand for.
 
         Parameters
         ----------
-        library : Library
-            As of `residual_forces`.
         numbers : (g,) array of int
-            Places in theta.
+            Their places in theta.
+        changes : (W, n) array
+            What that changes of the predictions, linearized where the responses are: forces are
+            missed by as much as it explains.
 
         Returns
         -------
         ResidualForces
-            In the same states, with the covariance of the forces that are missing with them.
+            In the same states, with the covariance of the forces that are missing with it.
         """
         side = self.windows
-        theta = side.theta.copy()
-        theta[numbers] = 0.0
-        (predicted,) = library.predict(theta[None], side.windows)
-        change = np.nan_to_num(side.predicted - predicted.reshape(side.predicted.shape))
-        change[side.lost] = 0.0
         kept = np.append(True, ~np.isin(self.numbers, numbers))
         explained = self.explained[kept]
         basis = np.linalg.qr(explained.T)[0]
-        whole = side.flat(side.residuals + change)
+        whole = side.flat(side.residuals + changes)
         return replace(
             self,
             explained=explained,

@@ -18,9 +18,9 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.services.validation import Array
 from dropo.diagnosis.findings.accuracy.every_horizon import EveryHorizonSettings, worse_after
 from dropo.diagnosis.findings.accuracy.horizons import AfterHorizon, after_horizons
-from dropo.diagnosis.laws.discovery import program_of, values_at
 from dropo.diagnosis.laws.extension import extended, padded, places_of_laws, with_laws
 from dropo.diagnosis.laws.forces import RANK, ResidualForces, residual_forces
+from dropo.diagnosis.laws.ideas import program_of, values_at
 from dropo.diagnosis.search.confirmation import gain_of
 from dropo.diagnosis.search.linearization import Library, LinearizedWindows, shift_linearization
 from dropo.diagnosis.search.selection import Selection

@@ -373,7 +373,9 @@ def _part_and_spread(problem: Problem, library: Library, last: State) -> tuple[D
 def signal_noise(problem: Problem, last: State) -> Array:
     """Return the standard deviations (p,) of the signals' noise, as the last state has them.
 
-    Of signals that were estimated, those of their errors: the windows know nothing of them.
+    Of signals that were estimated, those of their errors: as they are stated, or as large as the
+    windows find those of their starts. A smoother bends where a command steps, of which the spread
+    of its measurements knows nothing.
 
     Parameters
     ----------
@@ -384,7 +386,9 @@ def signal_noise(problem: Problem, last: State) -> Array:
     """
     signals = problem.simulator.signals
     stated = [problem.estimated.get(signal.name, np.inf) for signal in signals]
-    return np.minimum(last.train.whiten.sigma, stated)
+    train = last.train
+    found = train.whiten.latent(train.residuals)[~train.lost, : len(signals)]
+    return np.minimum(train.whiten.sigma, np.maximum(stated, np.sqrt(np.mean(found**2, axis=0))))
 
 
 def _horizon(simulator: Simulator, errors: HorizonErrors, noise: Array, rows: Array) -> Horizon:
