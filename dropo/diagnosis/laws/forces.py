@@ -217,12 +217,13 @@ def residual_forces(library: Library, state: State, floor: Array) -> ResidualFor
         unit,
         pieces=pieces,
         known=train.known_loadings[good],
+        counted=train.windows.counted,
     )
     known = train.known_loadings
     loadings = np.concatenate([train.start_loadings, responses, known], axis=2)
     ones = np.ones(known.shape[2])
     scale = np.concatenate([np.tile(noise.sigma, 2), np.tile(sd, pieces), ones])
-    windows = replace(train, whiten=Whitener(loadings, scale, noise))
+    windows = replace(train, whiten=Whitener(loadings, scale, noise, train.windows.counted))
     # What fitted numbers explain, and the length of the physics step, is no force.
     space = simulator.space
     free = state.free

@@ -287,7 +287,7 @@ class LinearizedWindows:
         -------
         LinearizedWindows
         """
-        whiten = Whitener(self.whiten.loadings[index], self.whiten.scale, self.whiten.noise)
+        whiten = replace(self.whiten, loadings=self.whiten.loadings[index])
         return LinearizedWindows(
             windows=self.windows.take(index),
             theta=self.theta,
@@ -336,10 +336,36 @@ class LinearizedWindows:
         return self.whiten.log_likelihood(residuals)
 
 
+@dataclass(frozen=True)
+class FoundStartSettings:
+    """How starts of signals that were estimated are found.
+
+    Attributes
+    ----------
+    rounds : int
+        Gauss-Newton steps at most.
+    parts : tuple of float
+        Parts of such a step that are tried.
+    close : float
+        They end where a window gains less in the mean [nats].
+    """
+
+    rounds: int = 8
+    parts: tuple[float, ...] = (1.0, 0.5, 0.2, 0.05)
+    close: float = 0.1
+
+
+FOUND_STARTS = FoundStartSettings()
+
+
 def linearize(
-    library: Library, windows: Windows, theta: Array, noise: WindowNoise
+    library: Library,
+    windows: Windows,
+    theta: Array,
+    noise: WindowNoise,
+    settings: FoundStartSettings = FOUND_STARTS,
 ) -> LinearizedWindows:
-    """Simulate windows from their measured starts, and from starts shifted by sigma either way.
+    """Simulate windows from their starts, and from starts shifted by sigma either way.
 
     Parameters
     ----------
@@ -351,10 +377,14 @@ def linearize(
         The parameters.
     noise : WindowNoise
         Of the p signals.
+    settings : FoundStartSettings
+        How starts of signals that were estimated are found.
 
     Returns
     -------
     LinearizedWindows
+        Of the same windows; where signals were estimated, of windows that start where the model and
+        the measurements that follow put them: a smoother knows nothing of what commands do.
 
     Notes
     -----
@@ -373,6 +403,58 @@ def linearize(
     .. [1] Stetter, The defect correction principle and discretization methods, Numerische
        Mathematik 29, 1978.
     """
+    found = _linearized(library, windows, theta, noise)
+    if windows.start_sd is None:
+        return found
+    for _ in range(settings.rounds):
+        further = _with_found_starts(library, found, settings)
+        if further is None:
+            break
+        found = _linearized(library, further, theta, noise)
+    return found
+
+
+def _with_found_starts(
+    library: Library, found: LinearizedWindows, settings: FoundStartSettings
+) -> Windows | None:
+    """Windows that start where their measurements put them; None where they do so already.
+
+    Of several parts of a Gauss-Newton step, each window makes the one after which it is likeliest:
+    a whole one may be too long where a motion turns suddenly.
+    """
+    windows, whiten, theta = found.windows, found.whiten, found.theta
+    assert windows.start_sd is not None
+    estimated = np.isfinite(windows.start_sd)
+    p = len(estimated)
+    step = np.where(estimated, whiten.latent(found.residuals)[:, :p], 0.0)
+    step[found.lost] = 0.0
+    parts = np.array(settings.parts)
+    offsets = parts[:, None, None] * step
+    predicted = library.predict(np.repeat(theta[None], len(parts), axis=0), windows, offsets)
+    residuals = windows.measured - predicted - found.shift
+    # What is measured is off by its noise still; what was estimated is not, where it starts there.
+    scale = whiten.scale.copy()
+    scale[:p][estimated] = 0.0
+    there = replace(whiten, scale=scale)
+    before = there.log_likelihood(found.residuals)
+    after = there.log_likelihood(np.nan_to_num(residuals, nan=DIVERGED))
+    gains = np.where(np.isfinite(predicted).all(axis=2), after - before, 0.0)
+    best = gains.argmax(axis=0)
+    gain = np.maximum(np.take_along_axis(gains, best[None], axis=0)[0], 0.0)
+    if gain.mean() < settings.close:
+        return None
+    moves = np.where(gain[:, None] > 0, parts[best][:, None] * step, 0.0)
+    simulator: RobotSimulator = library.simulator  # type: ignore[assignment]
+    starts = simulator.layout.move(windows.segments.starts, moves)
+    own = whiten.scale[:p] * np.sqrt(np.diagonal(whiten.inner, axis1=1, axis2=2)[:, :p])
+    start_sd = np.where(estimated, np.minimum(np.median(own, axis=0), windows.start_sd), np.inf)
+    return windows.with_starts(starts, moves, start_sd)
+
+
+def _linearized(
+    library: Library, windows: Windows, theta: Array, noise: WindowNoise
+) -> LinearizedWindows:
+    """Windows linearized in the starts that they have, as `linearize` says."""
     sigma = noise.sigma
     p = len(sigma)
     width = sigma if windows.start_sd is None else np.minimum(sigma, windows.start_sd)
@@ -551,7 +633,7 @@ def whitener(
     extra = loadings[:, :, delayed] * extra_sd[:, None, delayed]
     clocks = np.full(loadings.shape[2] - 2 * len(noise.sigma), noise.timing)
     scale = np.concatenate([np.tile(noise.sigma, 2), clocks, np.ones(len(delayed))])
-    return Whitener(np.concatenate([loadings, extra], axis=2), scale, noise)
+    return Whitener(np.concatenate([loadings, extra], axis=2), scale, noise, windows.counted)
 
 
 def estimate_noise(
@@ -583,6 +665,13 @@ def estimate_noise(
     known = linearized.extra_loadings[good]
     clocks = np.full(min(linearized.clocks, 1), noise.timing)
     learned, timing = learn_noise(
-        loadings, residuals, noise, floor, clocks, known=known, rounds=rounds
+        loadings,
+        residuals,
+        noise,
+        floor,
+        clocks,
+        known=known,
+        counted=linearized.windows.counted,
+        rounds=rounds,
     )
     return replace(learned, timing=float(timing.sum()))

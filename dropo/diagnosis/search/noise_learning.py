@@ -52,6 +52,7 @@ def learn_noise(
     *,
     pieces: int | None = None,
     known: Array | None = None,
+    counted: int | None = None,
     rounds: int = 60,
     tolerance: float = 1e-3,
 ) -> tuple[WindowNoise, Array]:
@@ -78,6 +79,8 @@ def learn_noise(
         Pieces of a window in which forces are drawn anew; each step is one if None.
     known : (W, n, e) array, optional
         Loadings of standard normal numbers beside these.
+    counted : int, optional
+        The residuals of a window that are of measurements; all n if None.
     rounds : int
         Iterations, at most.
     tolerance : float
@@ -95,7 +98,7 @@ def learn_noise(
     starts = (loadings.shape[2] - pieces * len(forces)) // p
     if known is not None:
         loadings = np.concatenate([loadings, known], axis=2)
-    sums = _Sums(loadings, residuals, noise.rho != 0)
+    sums = _Sums(loadings, residuals, noise.rho != 0, counted)
     learning = _Learning(sums, floor, starts, pieces, rounds, tolerance)
     if noise.coloured or noise.timing:
         return learning.by_gradient(noise, forces)
@@ -191,12 +194,21 @@ class _Sums:
         Of windows of n / p steps.
     follow : (p,) bool array
         Signals whose errors may follow each other.
+    counted : int or None
+        The residuals of a window that are of measurements; all if None.
     """
 
-    def __init__(self, loadings: Array, residuals: Array, follow: NDArray[np.bool_]) -> None:
+    def __init__(
+        self,
+        loadings: Array,
+        residuals: Array,
+        follow: NDArray[np.bool_],
+        counted: int | None,
+    ) -> None:
         p = len(follow)
         count, n, m = loadings.shape
         self.steps = n // p
+        self.counted = n if counted is None else counted
         self.follow = np.flatnonzero(follow)
         by_signal = np.ascontiguousarray(
             loadings.reshape(count, self.steps, p, m).transpose(2, 0, 1, 3)
@@ -244,8 +256,7 @@ class _Sums:
         moment = mixed * scale
         mean = (inner @ moment[:, :, None])[:, :, 0]
         distances = np.maximum(squares - (moment * mean).sum(axis=1), 0.0)
-        n = self.steps * len(variance)
-        weights = student_t_weights(distances, n, DEGREES)
+        weights = student_t_weights(distances, self.counted, DEGREES)
         carried = mean * scale, inner * np.outer(scale, scale), weights
         errors = self.same.expected(*carried)
         together, earlier = np.zeros((2, len(rho)))
@@ -258,7 +269,7 @@ class _Sums:
         log_roots = 0.5 * np.linalg.slogdet(precision)[1]
         log_roots += 0.5 * self.steps * np.log(variance).sum()
         return _Expected(
-            float((student_t_log_density(distances, n, DEGREES) - log_roots).sum()),
+            float((student_t_log_density(distances, self.counted, DEGREES) - log_roots).sum()),
             errors * factors,
             latents * scale**2,
             0.5 * together,

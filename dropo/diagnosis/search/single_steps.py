@@ -180,7 +180,7 @@ def _first_steps(linearized: LinearizedWindows) -> LinearizedWindows:
         residuals=linearized.residuals[:, :p],
         shift=linearized.shift[:, :p],
         defect=None if linearized.defect is None else linearized.defect[:, :p],
-        whiten=Whitener(loadings[:, :, kept], linearized.whiten.scale[kept], noise),
+        whiten=Whitener(loadings[:, :, kept], linearized.whiten.scale[kept], noise, first.counted),
         shifted=True,
     )
 

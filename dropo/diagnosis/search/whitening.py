@@ -129,11 +129,14 @@ class Whitener:
         Standard deviations of the latent numbers.
     noise : WindowNoise
         Of the p signals; p divides n.
+    counted : int or None
+        The residuals of a window that are of measurements; all n if None.
     """
 
     loadings: Array
     scale: Array
     noise: WindowNoise
+    counted: int | None = None
 
     @property
     def sigma(self) -> Array:
@@ -354,13 +357,19 @@ class Given:
     @cached_property
     def weights(self) -> Array:
         """(..., W) (nu + n) / (nu + d^2)."""
-        return student_t_weights(self.distances, self.residuals.shape[-1], DEGREES)
+        return student_t_weights(self.distances, self._count, DEGREES)
 
     @property
     def log_likelihood(self) -> Array:
         """(..., W) log densities of the multivariate Student t [nats]."""
-        n = self.residuals.shape[-1]
-        return student_t_log_density(self.distances, n, DEGREES) - self.whitener.log_root
+        density = student_t_log_density(self.distances, self._count, DEGREES)
+        return density - self.whitener.log_root
+
+    @property
+    def _count(self) -> int:
+        """n, or as many of a window's residuals as are of measurements."""
+        counted = self.whitener.counted
+        return self.residuals.shape[-1] if counted is None else counted
 
     def neighbours(self) -> tuple[Array, Array]:
         """Expect products of errors that follow each other, weighted, from residuals (W, n).

@@ -60,6 +60,8 @@ class Windows:
     start_sd : (p,) array or None
         How far starts are from the true ones in signals that were estimated, not measured, infinite
         in others; None where all were measured.
+    moved : (W, p) array or None
+        How far starts were moved from the estimates, in the signals' units; None if they were not.
     """
 
     segments: Segments
@@ -67,6 +69,7 @@ class Windows:
     block: Ints
     length: int
     start_sd: Array | None = None
+    moved: Array | None = None
 
     def __len__(self) -> int:
         return len(self.block)
@@ -83,9 +86,45 @@ class Windows:
         -------
         Windows
         """
-        segments = self.segments.take(index)
-        measured = self.measured[index]
-        return Windows(segments, measured, self.block[index], self.length, self.start_sd)
+        return replace(
+            self,
+            segments=self.segments.take(index),
+            measured=self.measured[index],
+            block=self.block[index],
+            moved=None if self.moved is None else self.moved[index],
+        )
+
+    def with_starts(self, starts: Array, moves: Array, start_sd: Array) -> "Windows":
+        """Return windows with other starts.
+
+        Parameters
+        ----------
+        starts : (W, p) array
+            The observations that they start from.
+        moves : (W, p) array
+            How far these are from the starts before, in the signals' units.
+        start_sd : (p,) array
+            How far they are from the true ones.
+
+        Returns
+        -------
+        Windows
+        """
+        segments = self.segments
+        observations = segments.trajectories.observations.copy()
+        observations[segments.steps[:, 0]] = starts
+        data = replace(segments.trajectories, observations=observations)
+        moved = moves if self.moved is None else self.moved + moves
+        segments = replace(segments, trajectories=data)
+        return replace(self, segments=segments, start_sd=start_sd, moved=moved)
+
+    @property
+    def counted(self) -> int:
+        """The measurements in a window: signals that were estimated have none."""
+        signals = self.measured.shape[1] // self.length
+        if self.start_sd is not None:
+            signals -= int(np.isfinite(self.start_sd).sum())
+        return self.length * signals
 
     @property
     def steps(self) -> int:

@@ -10,7 +10,7 @@ from dropo.core.contracts.problem import Problem
 from dropo.core.contracts.simulator import Simulator
 from dropo.core.records.trajectories import Ints, Signal
 from dropo.core.services.validation import Array
-from dropo.diagnosis.search.linearization import Library
+from dropo.diagnosis.search.linearization import Library, LinearizedWindows
 from dropo.diagnosis.search.trials import State
 from dropo.evaluation.held_out import (
     OF_DIAGNOSIS,
@@ -386,9 +386,17 @@ def signal_noise(problem: Problem, last: State) -> Array:
     """
     signals = problem.simulator.signals
     stated = [problem.estimated.get(signal.name, np.inf) for signal in signals]
-    train = last.train
-    found = train.whiten.latent(train.residuals)[~train.lost, : len(signals)]
-    return np.minimum(train.whiten.sigma, np.maximum(stated, np.sqrt(np.mean(found**2, axis=0))))
+    found = np.concatenate([_start_errors(side) for side in (last.train, last.test)])
+    size = np.sqrt(np.mean(found**2, axis=0))
+    return np.minimum(last.train.whiten.sigma, np.maximum(stated, size))
+
+
+def _start_errors(side: LinearizedWindows) -> Array:
+    """How far (W, p) the measured starts of the windows that are not lost are off."""
+    errors = side.whiten.latent(side.residuals)[:, : len(side.whiten.sigma)]
+    if side.windows.moved is not None:
+        errors = errors + side.windows.moved
+    return np.asarray(errors[~side.lost])
 
 
 def _horizon(simulator: Simulator, errors: HorizonErrors, noise: Array, rows: Array) -> Horizon:

@@ -209,6 +209,7 @@ def unexplained_force(
         unit,
         pieces=pieces,
         known=train.known_loadings[good],
+        counted=train.windows.counted,
     )
 
     # What they gain on the windows held out.
@@ -216,7 +217,7 @@ def unexplained_force(
     ones = np.ones(known.shape[2])
     scale = np.concatenate([np.tile(noise.sigma, 2), np.tile(sd, pieces), ones])
     loadings = np.concatenate([test.start_loadings, of_test, known], axis=2)
-    with_forces = replace(test, whiten=Whitener(loadings, scale, noise))
+    with_forces = replace(test, whiten=Whitener(loadings, scale, noise, test.windows.counted))
     gain, z = gain_of(test, with_forces)
     excess = with_forces.log_likelihood - test.log_likelihood
     return Unexplained(sd, 1 / unit, gain, z, excess, responses, settings)
