@@ -20,6 +20,7 @@ from dropo.diagnosis.laws.extension import (
 from dropo.diagnosis.laws.forces import ResidualForces, residual_forces, step_errors
 from dropo.diagnosis.laws.ideas import (
     LETTER,
+    Idea,
     IdeaSettings,
     Terms,
     formula_of,
@@ -271,8 +272,14 @@ def _refitted(
     more are proposed by the forces that are found with it, and what it explains.
     """
     library = selection.library
+
+    def fitted(idea: Idea) -> tuple[_Tried, State]:
+        """A formula refitted; in the place of effects to the end, since it begins far off."""
+        tried = _tried(selection, idea.base, idea.proposal, idea.alike)
+        return (tried if idea.base is state else _to_the_end(selection, tried)), idea.base
+
     ideas = ideas_from(selection, library, state, forces, terms, settings.ideas)
-    tried = [(_tried(selection, one.base, one.proposal, one.alike), one.base) for one in ideas]
+    tried = [fitted(one) for one in ideas]
     if not tried:
         return []
     best, base = max(tried, key=lambda one: penalized_log_likelihood(one[0][0].state))
@@ -283,11 +290,15 @@ def _refitted(
         larger, residual_forces(larger, trial.state, selection.floor), trial.candidate.instance
     )
     there = terms.at(proposal.joint)
-    known = {formula_of(one.proposal)[0] for one in ideas if one.base.accepted == base.accepted}
-    for one in ideas_from(selection, larger, base, again, there, settings.ideas):
-        if formula_of(one.proposal)[0] not in known or one.base is not base:
-            tried.append((_tried(selection, one.base, one.proposal, one.alike), one.base))
-    return tried
+    known = {_named(one) for one in ideas}
+    more = ideas_from(selection, larger, base, again, there, settings.ideas)
+    return tried + [fitted(one) for one in more if _named(one) not in known]
+
+
+def _named(idea: Idea) -> tuple[str, str, frozenset[str]]:
+    """The joint and formula of an idea, and the effects beside it."""
+    beside = frozenset(one.label for one in idea.base.accepted)
+    return idea.proposal.joint, formula_of(idea.proposal)[0], beside
 
 
 def _confirmed(
@@ -312,7 +323,10 @@ def _confirmed(
     before = _views(selection.library, state, selection)
     chosen: tuple[EffectInstance, FoundLaw, State, Library] | None = None
     views: _Views | None = None
-    for one, base in ranked[: settings.maximum_polished]:
+    left = settings.maximum_polished
+    for one, base in ranked:
+        if not left:
+            break
         if chosen is not None and len(one[0].state.free) >= len(chosen[2].free):
             continue
         gain, _ = gain_of(state.train, one[0].state.train)
@@ -324,6 +338,7 @@ def _confirmed(
             needed_fit = -max((1 - recovered) * lost, settings.usual_margin)
         if gain <= needed_fit:
             continue
+        left -= 1
         own = extended(selection, one[3])
         if own.only_by_feedback(one[0].state):
             continue
@@ -456,6 +471,13 @@ def _tried(
     candidate = Candidate(law, order, proposal.gain, proposal.signature)
     (trial,) = own.try_candidates(padded(state, library), [candidate])
     return trial, proposal, alike, library
+
+
+def _to_the_end(selection: Selection, tried: "_Tried") -> "_Tried":
+    """A refitted law, fitted to the end."""
+    trial, proposal, alike, library = tried
+    polished = extended(selection, library).polish(trial.state)
+    return replace(trial, state=polished), proposal, alike, library
 
 
 def _pruned(

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from dropo import Diagnose
-from dropo.diagnosis.laws.discovery import FoundLaw, _curve, may_stand_for_one_law
+from dropo.diagnosis.laws.discovery import FoundLaw, _curve
+from dropo.diagnosis.laws.ideas import may_stand_for_one_law
 from dropo.diagnosis.laws.pursuit import propose
 from dropo.diagnosis.laws.shapes import LawTerm, Ranges, shapes_at
 from dropo.effects.law import law_instance
