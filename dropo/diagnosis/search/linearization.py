@@ -444,8 +444,12 @@ def _with_found_starts(
     if gain.mean() < settings.close:
         return None
     moves = np.where(gain[:, None] > 0, parts[best][:, None] * step, 0.0)
-    simulator: RobotSimulator = library.simulator  # type: ignore[assignment]
-    starts = simulator.layout.move(windows.segments.starts, moves)
+    starts = windows.segments.starts
+    simulator = library.simulator
+    if isinstance(simulator, RobotSimulator):
+        starts = simulator.layout.move(starts, moves)
+    else:
+        starts = starts + moves
     own = whiten.scale[:p] * np.sqrt(np.diagonal(whiten.inner, axis1=1, axis2=2)[:, :p])
     start_sd = np.where(estimated, np.minimum(np.median(own, axis=0), windows.start_sd), np.inf)
     return windows.with_starts(starts, moves, start_sd)

@@ -80,7 +80,7 @@ def learn_noise(
     known : (W, n, e) array, optional
         Loadings of standard normal numbers beside these.
     counted : int, optional
-        The residuals of a window that are of measurements; all n if None.
+        The residuals of a window that say something of the noise; all n if None.
     rounds : int
         Iterations, at most.
     tolerance : float
@@ -195,7 +195,7 @@ class _Sums:
     follow : (p,) bool array
         Signals whose errors may follow each other.
     counted : int or None
-        The residuals of a window that are of measurements; all if None.
+        The residuals of a window that say something of the noise; all if None.
     """
 
     def __init__(

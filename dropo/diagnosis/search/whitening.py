@@ -130,7 +130,7 @@ class Whitener:
     noise : WindowNoise
         Of the p signals; p divides n.
     counted : int or None
-        The residuals of a window that are of measurements; all n if None.
+        The residuals of a window that say something of the noise; all n if None.
     """
 
     loadings: Array
@@ -367,7 +367,7 @@ class Given:
 
     @property
     def _count(self) -> int:
-        """n, or as many of a window's residuals as are of measurements."""
+        """n, or as many of a window's residuals as say something of the noise."""
         counted = self.whitener.counted
         return self.residuals.shape[-1] if counted is None else counted
 

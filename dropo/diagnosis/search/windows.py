@@ -120,11 +120,12 @@ class Windows:
 
     @property
     def counted(self) -> int:
-        """The measurements in a window: signals that were estimated have none."""
+        """The measurements in a window that say something of the noise: signals that were estimated
+        have none, and each of their starts takes one to be found.
+        """
         signals = self.measured.shape[1] // self.length
-        if self.start_sd is not None:
-            signals -= int(np.isfinite(self.start_sd).sum())
-        return self.length * signals
+        estimated = 0 if self.start_sd is None else int(np.isfinite(self.start_sd).sum())
+        return max(self.length * (signals - estimated) - estimated, 1)
 
     @property
     def steps(self) -> int:

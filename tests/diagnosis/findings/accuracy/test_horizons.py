@@ -50,15 +50,25 @@ def test_small_errors_are_as_they_are():
 
 
 def test_what_was_estimated_has_the_noise_of_its_error():
-    """Where it is less than what windows make of it; else, and of what was measured, theirs."""
-    last = SimpleNamespace(
-        train=SimpleNamespace(whiten=SimpleNamespace(sigma=np.array([0.1, 2.0])))
-    )
+    """As stated, or as far as the windows moved their starts, where that is more; where it is less
+    than what windows make of it. Else, and of what was measured, theirs.
+    """
 
-    def noise(estimated):
+    def side(moved):
+        """Two windows, of which one is lost, whose starts were moved, and are 0.3 off there."""
+        whiten = SimpleNamespace(
+            sigma=np.array([0.1, 2.0]), latent=lambda residuals: np.full((2, 3), 0.3)
+        )
+        windows = SimpleNamespace(moved=moved)
+        lost = np.array([False, True])
+        return SimpleNamespace(whiten=whiten, windows=windows, residuals=None, lost=lost)
+
+    def noise(estimated, moved=None):
+        last = SimpleNamespace(train=side(moved), test=side(moved))
         problem = SimpleNamespace(simulator=SimpleNamespace(signals=SIGNALS), estimated=estimated)
         return signal_noise(problem, last).tolist()
 
     assert noise({}) == [0.1, 2.0]
     assert noise({"speed": 0.5}) == [0.1, 0.5]
     assert noise({"speed": 3.0}) == [0.1, 2.0]
+    assert noise({"speed": 0.5}, np.array([[0.0, 0.4], [9.0, 9.0]])) == pytest.approx([0.1, 0.7])
