@@ -122,9 +122,8 @@ def test_starts_are_found_where_commands_jump(gantry):
     z, noise = found(FoundStartSettings().rounds)
     assert abs(np.mean(z**2) - 1) < 4 * np.sqrt(2 / z.size)
     assert np.all(np.abs(noise - 1) < 4 / np.sqrt(2 * 20 * len(windows)))
-    z, noise = found(0)
+    z, _ = found(0)
     assert np.mean(z**2) - 1 > 4 * np.sqrt(2 / z.size)
-    assert np.all(noise > 1.3)
 
 
 def test_a_smoother_bends_without_noise(gantry):

@@ -275,8 +275,8 @@ def _refitted(
 
     def fitted(idea: Idea) -> tuple[_Tried, State]:
         """A formula refitted; in the place of effects to the end, since it begins far off."""
-        tried = _tried(selection, idea.base, idea.proposal, idea.alike)
-        return (tried if idea.base is state else _to_the_end(selection, tried)), idea.base
+        far = idea.base is not state
+        return _tried(selection, idea.base, idea.proposal, idea.alike, far), idea.base
 
     ideas = ideas_from(selection, library, state, forces, terms, settings.ideas)
     tried = [fitted(one) for one in ideas]
@@ -318,7 +318,7 @@ def _confirmed(
     if not tried:
         return None
     settings = selection.settings
-    ranked, short = _ranked(selection, state, tried)
+    ranked = _ranked(selection, state, tried)
     needed = settings.needed_gain(count)
     before = _views(selection.library, state, selection)
     chosen: tuple[EffectInstance, FoundLaw, State, Library] | None = None
@@ -342,11 +342,11 @@ def _confirmed(
         own = extended(selection, one[3])
         if own.only_by_feedback(one[0].state):
             continue
-        polished = own.polish(one[0].state)
+        polished = own.polish(one[0].state) if added else one[0].state
         held_out, _ = gain_of(state.test, polished.test)
         if added and held_out < settings.polished_fraction * needed:
             continue
-        trial, proposal, library, polished = _pruned(selection, base, one, polished, short)
+        trial, proposal, library, polished = _pruned(selection, base, one, polished, not added)
         after = _views(library, polished, selection)
         better = is_confirmed(state.test, polished.test, needed, settings)
         better = better and _is_of_the_machine(before, after, needed, settings)
@@ -363,9 +363,9 @@ def _confirmed(
 
 def _ranked(
     selection: Selection, state: State, tried: Sequence[tuple[_Tried, State]]
-) -> tuple[list[tuple[_Tried, State]], bool]:
-    """The refitted formulas with their bases, the most plausible first; and if they are compared as
-    short physics steps would predict, which they are where the best is better so.
+) -> list[tuple[_Tried, State]]:
+    """The refitted formulas with their bases, the most plausible first, compared as short physics
+    steps would predict where the best is better so.
 
     Several terms can do what the length of the steps does.
     """
@@ -390,7 +390,7 @@ def _ranked(
     ]
     short = heights[1] > heights[0]
     ordered = most_plausible_first(views[short], selection.settings)
-    return [by_trial[id(trial)] for trial in ordered], short
+    return [by_trial[id(trial)] for trial in ordered]
 
 
 def _view(
@@ -459,9 +459,9 @@ def _without_what_steps_do(selection: Selection, state: State) -> tuple[State, d
 
 
 def _tried(
-    selection: Selection, state: State, proposal: Proposal, alike: list[Proposal]
+    selection: Selection, state: State, proposal: Proposal, alike: list[Proposal], far: bool
 ) -> "_Tried":
-    """A state refitted with a proposed law, and the library that has the law."""
+    """A state refitted with a proposed law, to the end if that is far, and the library with it."""
     context = selection.library.simulator.effect_context  # type: ignore[attr-defined]
     text, sizes = formula_of(proposal)
     law = law_instance(context, proposal.joint, text, typical=sizes)
@@ -470,29 +470,26 @@ def _tried(
     order = np.array([sizes[quantity.name] for quantity in law.quantities])
     candidate = Candidate(law, order, proposal.gain, proposal.signature)
     (trial,) = own.try_candidates(padded(state, library), [candidate])
+    if far:
+        trial = replace(trial, state=own.polish(trial.state))
     return trial, proposal, alike, library
 
 
-def _to_the_end(selection: Selection, tried: "_Tried") -> "_Tried":
-    """A refitted law, fitted to the end."""
-    trial, proposal, alike, library = tried
-    polished = extended(selection, library).polish(trial.state)
-    return replace(trial, state=polished), proposal, alike, library
-
-
 def _pruned(
-    selection: Selection, state: State, tried: "_Tried", polished: State, short: bool
+    selection: Selection, state: State, tried: "_Tried", polished: State, far: bool
 ) -> tuple[Trial, Proposal, Library, State]:
     """A law without the terms that data held out do not ask for, fitted to the end.
 
-    short: whether that is seen as short physics steps would predict.
+    They ask for one if it gains something with the model's own physics steps and with short ones.
+
+    far: whether the state is far from that with the law.
     """
     trial, proposal, alike, library = tried
     settings = selection.settings
     if len(proposal.shapes) == 1:
         return trial, proposal, library, polished
-    whole_as_tried = _view(library, trial.state.test, selection, short)
-    whole = _view(library, polished.test, selection, short)
+    as_tried = _views(library, trial.state, selection)
+    whole = _views(library, polished, selection)
     for i in range(len(proposal.shapes)):
         kept = [k for k in range(len(proposal.shapes)) if k != i]
         shapes = tuple(proposal.shapes[k] for k in kept)
@@ -500,17 +497,23 @@ def _pruned(
             continue
         sizes = _fitted(proposal, trial.candidate.instance, polished, library)
         fewer = replace(proposal, shapes=shapes, sizes=sizes[kept])
-        again = _tried(selection, state, fewer, alike)
-        without = _view(again[3], again[0].state.test, selection, short)
-        as_tried, _ = gain_of(without, whole_as_tried)
+        again = _tried(selection, state, fewer, alike, far)
+        without = _views(again[3], again[0].state, selection)
         of_the_others = (1 - settings.polished_fraction) * max(0.0, trial.held_out_gain)
-        if as_tried > settings.negligible_gain + of_the_others:
+        if _gained(without, as_tried) > settings.negligible_gain + of_the_others:
             continue
-        refitted = extended(selection, again[3]).polish(again[0].state)
-        lost, _ = gain_of(_view(again[3], refitted.test, selection, short), whole)
-        if lost < settings.negligible_gain:
-            return _pruned(selection, state, (again[0], fewer, alike, again[3]), refitted, short)
+        refitted = again[0].state
+        if not far:
+            refitted = extended(selection, again[3]).polish(refitted)
+        without = _views(again[3], refitted, selection)
+        if _gained(without, whole) < settings.negligible_gain:
+            return _pruned(selection, state, again, refitted, far)
     return trial, proposal, library, polished
+
+
+def _gained(before: _Views, after: _Views) -> float:
+    """What a model gains over another [nats], in the view in which that is less."""
+    return min(gain_of(old, new)[0] for old, new in zip(before, after, strict=True))
 
 
 def _fitted(proposal: Proposal, law: EffectInstance, polished: State, library: Library) -> Array:
