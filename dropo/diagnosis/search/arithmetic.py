@@ -131,7 +131,7 @@ class ArithmeticSettings:
     fewest : int
         ... if these are so many at least.
     finest : int
-        Steps are halved as long as that is confirmed, down to this part.
+        Steps are halved as long as that is likelier, down to this part.
     """
 
     alternatives: tuple[Arithmetic, ...] = (
@@ -321,10 +321,7 @@ class ArithmeticAlternatives:
         arithmetic, promise = self._most_promising(simulator, state, cheap)
         if not promise > self.selection.alternative_fraction * needed:
             return False
-        alternative = self._fitted(simulator, arithmetic, state)
-        gain = penalized_log_likelihood(alternative) - penalized_log_likelihood(state)
-        held_out, _ = gain_of(state.test, alternative.test)
-        if not (gain > needed and held_out > 0):
+        if not _is_likelier(state, self._fitted(simulator, arithmetic, state), needed):
             return False
         self.winner = arithmetic
         return True
@@ -340,7 +337,7 @@ class ArithmeticAlternatives:
         Returns
         -------
         Arithmetic
-            `UNCHANGED` where windows held out confirm none.
+            `UNCHANGED` where none are likelier, by as much as `is_preferred` asks for.
         """
         simulator = self._robot
         if simulator is None:
@@ -445,11 +442,11 @@ class ArithmeticAlternatives:
     def _refined(
         self, simulator: RobotSimulator, arithmetic: Arithmetic, alternative: State, needed: float
     ) -> Arithmetic:
-        """Steps that are halved as long as windows held out confirm that."""
+        """Steps that are halved as long as that is likelier."""
         while arithmetic.finer < self.settings.finest:
             finer = replace(arithmetic, finer=2 * arithmetic.finer)
             halved = self._tried(simulator, finer, alternative)
-            if not is_confirmed(alternative.test, halved.test, needed, self.selection):
+            if not _is_likelier(alternative, halved, needed):
                 break
             arithmetic, alternative = finer, halved
         return arithmetic
@@ -458,6 +455,13 @@ class ArithmeticAlternatives:
         """The same effects with another simulator."""
         library = self.library
         return Library(simulator, library.instances, library.declared, library.differences)
+
+
+def _is_likelier(state: State, alternative: State, needed: float) -> bool:
+    """Whether other steps gain what is needed on all windows, and anything on those held out."""
+    gain = penalized_log_likelihood(alternative) - penalized_log_likelihood(state)
+    held_out, _ = gain_of(state.test, alternative.test)
+    return bool(gain > needed and held_out > 0)
 
 
 def shift_in_time(instance: EffectInstance, magnitudes: Array) -> float | None:
