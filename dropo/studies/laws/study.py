@@ -38,8 +38,10 @@ WINDOWS = 48
 """About how many windows are fitted, and how many are held out."""
 COUNTED = 100.0
 """Nats on data held out that the true law must gain for a run to count."""
-FIRST_SEED = {"development": 0, "evaluation": 81_000, "removed": 82_000, "null": 83_000}
-"""Seeds of each set; the search was worked out on seeds below 80,000."""
+FIRST_SEED = {"development": 0, "evaluation": 84_000, "removed": 85_000, "null": 86_000}
+"""Seeds of each set; the search was worked out on seeds below 80,000, and what earlier code made of
+81,000, 82,000 and 83,000 was read before its last rules were made.
+"""
 STEP = 4.0
 """Step of the quantised sensors, in standard deviations of the others' noise."""
 
@@ -92,7 +94,8 @@ def laws(
         (_totals(hidden, none), _found(hidden), _silent(none)),
         (
             f"Recorded by Runge-Kutta's integrator with physics steps {FINER} times finer than the "
-            f"model's. A run counts where the true law gains {COUNTED:g} nats there.",
+            f"model's. A run counts where the true law gains {COUNTED:g} nats there. The share of the "
+            "gain and the steps, in those of a diagnosis that looks for no law, are medians.",
         ),
         {"runs": runs},
     )
@@ -139,6 +142,7 @@ def run(item: list[Any]) -> dict[str, Any]:
     problem = made.problem(law.machine, made.record(hidden, rng, 1.0))
     rivals = [rival for rival in RIVALS if rival != law.effect]
     found = _diagnosis(problem, rivals, seed)
+    answer["steps_without"] = _diagnosis(problem, rivals, seed, laws=()).simulator_steps
     answer |= {"machine": law.machine, "hidden": law.formula, "target": law.place} | _said(found)
     without, with_law = _oracle(problem, hidden, found.window_steps)
     before = found.baseline.log_likelihood
@@ -155,9 +159,11 @@ def run(item: list[Any]) -> dict[str, Any]:
     return answer
 
 
-def _diagnosis(problem: Problem, rivals: Sequence[str], seed: int) -> Diagnosis:
+def _diagnosis(
+    problem: Problem, rivals: Sequence[str], seed: int, laws: Sequence[str] = ("law",)
+) -> Diagnosis:
     """What is said of a recording, of the effects of joints and drives and of laws."""
-    return Diagnose([*rivals, "law"], windows=WINDOWS).run(problem, rng=seed)
+    return Diagnose([*rivals, *laws], windows=WINDOWS).run(problem, rng=seed)
 
 
 def _said(found: Diagnosis) -> dict[str, Any]:
@@ -276,10 +282,12 @@ def _totals(hidden: list[dict[str, Any]], none: list[dict[str, Any]]) -> Table:
         right = sum(one["right"] for one in counted)
         among = sum(one["among"] for one in counted)
         share = number(float(np.median(shares)), 3) if shares else "-"
-        whole = (str(len(counted)), str(right), str(among), share)
+        times = [one["steps"] / one["steps_without"] for one in counted]
+        cost = number(float(np.median(times)), 2) if times else "-"
+        whole = (str(len(counted)), str(right), str(among), share, cost)
         rows.append((name, str(len(own)), *whole, *_stated_in(own)))
     proposed = sum(any(effect == "law" for effect, *_ in one["causes"]) for one in none)
-    silent = ("-", f"{proposed} laws proposed", "-", "-")
+    silent = ("-", f"{proposed} laws proposed", "-", "-", "-")
     rows.append(("nothing hidden", str(len(none)), *silent, *_stated_in(none)))
     header = (
         "set",
@@ -288,6 +296,7 @@ def _totals(hidden: list[dict[str, Any]], none: list[dict[str, Any]]) -> Table:
         "formula right",
         "or among the others",
         "share of the gain",
+        "times the steps",
         "causes stated",
         "of these false",
     )
@@ -316,6 +325,7 @@ def _found(hidden: list[dict[str, Any]]) -> Table:
                 number(one["share"], 3),
                 one["verdict"],
                 f"{one['steps']:,}",
+                number(one["steps"] / one["steps_without"], 2),
             )
         )
     header = (
@@ -328,6 +338,7 @@ def _found(hidden: list[dict[str, Any]]) -> Table:
         "share",
         "verdict",
         "simulator steps",
+        "times those without",
     )
     return Table("Hidden laws", header, tuple(rows))
 

@@ -19,9 +19,10 @@ from dropo.diagnosis.search.refit import NO_INDICES, refit
 from dropo.diagnosis.search.review import Review, reviews_so_far
 from dropo.diagnosis.search.selection import Selection
 from dropo.diagnosis.search.trials import penalized_log_likelihood
-from dropo.diagnosis.search.whitening import white
+from dropo.diagnosis.search.whitening import WhitenessSettings, white
 from dropo.diagnosis.search.windows import split
 from dropo.diagnosis.setup import SearchedEffects, SearchSetup
+from dropo.mjmodel.options import integrator, physics_step
 from dropo.simulators.mujoco.simulator import MujocoSimulator
 from tests.models.holding_servo import FRICTION, servo
 
@@ -308,6 +309,38 @@ def test_a_delay_below_a_step_meets_exact_steps_at_the_end(
         _, begun = further[0].begun
         assert not begun.accepted
         assert solving.in_exact_steps(*further) is None
+
+
+@pytest.mark.parametrize(
+    ("finer", "machine", "exact", "expected"),
+    [
+        (4, "mjINT_EULER", True, (4, "Euler")),
+        (4, "mjINT_RK4", False, (1, "RK4")),
+        (1, "mjINT_EULER", True, None),
+        (1, "mjINT_EULER", False, None),
+    ],
+)
+def test_steps_are_others_beside_all_that_was_found(monkeypatch, finer, machine, exact, expected):
+    """Of a machine of shorter steps the search goes on in these where steps are chosen, else in
+    those of Runge and Kutta, and that once; the controls: a machine of the model's own steps.
+    """
+    problem = recorded(finer, machine)
+    problem = replace(problem, simulator=pendulum(DAMPING))
+    library = Library(problem.simulator, [], 0)
+    search = Selection(library, 1e-3 * NOISE)
+    train, test = split(problem, 10, 20)
+    first = search.begin(train, test, np.zeros(0), white(NOISE), NO_INDICES)
+    found = SearchedEffects(first, first, {})
+    setup = SearchSetup(problem, None, library, search, train, test, NO_INDICES, 1, (), exact=exact)
+    monkeypatch.setattr(solving, "search_effects", lambda anew: (anew, found))
+    further = solving.in_shorter_steps(setup, found, WhitenessSettings())
+    if expected is None:
+        assert further is None
+        return
+    setup, _ = further
+    model = setup.problem.simulator.model
+    assert (round(0.01 / physics_step(model)), integrator(model)) == expected
+    assert solving.in_shorter_steps(setup, found, WhitenessSettings()) is None
 
 
 def test_shifts_are_the_latest_signals():
