@@ -94,8 +94,8 @@ def laws(
         (_totals(hidden, none), _found(hidden), _silent(none)),
         (
             f"Recorded by Runge-Kutta's integrator with physics steps {FINER} times finer than the "
-            f"model's. A run counts where the true law gains {COUNTED:g} nats there. The share of the "
-            "gain and the steps, in those of a diagnosis that looks for no law, are medians.",
+            f"model's. A run counts where the true law gains {COUNTED:g} nats there. The share of "
+            "the gain and the steps, in those of a diagnosis that looks for no law, are medians.",
         ),
         {"runs": runs},
     )

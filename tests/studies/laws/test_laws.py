@@ -128,6 +128,7 @@ def recorded(kind, name, seed=1000, **answer):
         "causes": [["law", "elbow", "-c * v**3"]],
         "stated": 1,
         "steps": 123_456,
+        "steps_without": 61_728,
     }
     if kind != "null":
         own |= {"hidden": "-c * v**3", "target": "elbow", "nats": 500.0, "share": 0.98}
@@ -162,13 +163,13 @@ def test_tables_count_runs_that_are_worth_it(monkeypatch):
     ]
     totals, found, silent = study.tables
     assert totals.rows == (
-        ("evaluation", "4", "3", "1", "2", "0.9", "3", "2"),
-        ("nothing hidden", "2", "-", "1 laws proposed", "-", "-", "1", "1"),
+        ("evaluation", "4", "3", "1", "2", "0.9", "2", "3", "2"),
+        ("nothing hidden", "2", "-", "1 laws proposed", "-", "-", "-", "1", "1"),
     )
     assert [row[4] for row in found.rows] == ["yes", "among the others", "no", "among the others"]
     assert found.rows[0][2:4] == ("-c * v**3 at elbow", "-c * v**3 at elbow")
     assert found.rows[2][3] == "-"
-    assert found.rows[0][-1] == "123,456"
+    assert found.rows[0][-2:] == ("123,456", "2")
     assert silent.rows == (
         ("t3 pendulum", "1000", "-c * q at elbow", "explained"),
         ("ar1 pendulum", "1000", "joint_damping at elbow", "explained"),
