@@ -327,7 +327,11 @@ class Diagnose:
             windows = min(windows, most)
         train, test = split(problem, length, windows)
         refuse_constant(problem, train)
-        estimated = problem.estimated if explained is None else ()
+        estimated: Collection[str] = problem.estimated
+        if explained is not None:
+            # Whole motions were fitted, from starts as they are: estimates count as measurements.
+            estimated = ()
+            train, test = (replace(side, start_sd=None) for side in (train, test))
         with_steps = with_cost(progress, library.simulator)
         selection = self._selection(library, train, estimated, with_steps, log)
         return SearchSetup(
