@@ -689,11 +689,11 @@ class Diagnose:
         return bool(beyond_noise(after, 2, usual, self.settings.horizons, measured=measured))
 
     def _usual_horizon(self, setup: SearchSetup, last: State) -> int | None:
-        """The horizon of windows, where the noise is known there alone: that of starts that were
-        estimated, or of control steps.
+        """The horizon of windows, where the noise is known there alone: that of control steps, or
+        of starts that were estimated, of which whole motions find no better ones.
         """
-        other_noise = bool(setup.problem.estimated) or last.train.whiten.noise.timing > 0
-        return setup.train.length if other_noise else None
+        rough = setup.explained is not None and bool(setup.problem.estimated)
+        return setup.train.length if rough or last.train.whiten.noise.timing > 0 else None
 
     def _errors_after(
         self, setup: SearchSetup, searched: SearchedEffects, rng: np.random.Generator

@@ -16,6 +16,7 @@ from dropo.diagnosis.findings.accuracy.every_horizon import Beyond
 from dropo.diagnosis.findings.causes import standard_errors
 from dropo.diagnosis.findings.limits.scale_of_forces import untold_scales, with_known_scale
 from dropo.diagnosis.findings.premises.numerics import refused_delay, short_delay
+from dropo.diagnosis.findings.remains.unexplained_forces import impulses_of, unexplained_force
 from dropo.diagnosis.parts import Leader
 from dropo.diagnosis.search.arithmetic import (
     UNCHANGED,
@@ -27,7 +28,11 @@ from dropo.diagnosis.search.bounds import totals_of
 from dropo.diagnosis.search.confirmation import gain_of, is_confirmed
 from dropo.diagnosis.search.known_causes import begin_with
 from dropo.diagnosis.search.library import robot_of
-from dropo.diagnosis.search.linearization import Library, shift_linearization
+from dropo.diagnosis.search.linearization import (
+    Library,
+    shift_linearization,
+    with_other_noise,
+)
 from dropo.diagnosis.search.refit import other_noise
 from dropo.diagnosis.search.review import Review, merge, review, reviews_so_far, with_payload
 from dropo.diagnosis.search.selection import STOPPING, Selection
@@ -80,10 +85,27 @@ def with_noise_left(
     state = setup.selection.without_fitting(
         setup.train, setup.test, theta, plain, before.free, before.accepted
     )
-    noise = other_noise(setup.library, state.train, setup.selection.floor, settings)
+    noise = _noise_of_sensors(setup, state, settings)
     if noise is None:
         return setup
     return _coloured(setup, noise)
+
+
+def _noise_of_sensors(
+    setup: SearchSetup, state: State, settings: WhitenessSettings
+) -> WindowNoise | None:
+    """A noise that is not white, where that explains more of the windows held out than forces do.
+
+    What is missing from a model makes errors that follow each other, too: as noise of sensors it
+    would hide.
+    """
+    library, floor = setup.library, setup.selection.floor
+    noise = other_noise(library, state.train, floor, settings)
+    if noise is None or not impulses_of(library):
+        return noise
+    gain, _ = gain_of(state.test, with_other_noise(library, state.test, noise))
+    forces = unexplained_force(library, state.train, state.test, floor, gain_of)
+    return None if forces.present and forces.gain > gain else noise
 
 
 def solved(
@@ -123,7 +145,7 @@ def solved(
         left = disturbed(setup, found)
         if left is not None or setup.noise is not None:
             return setup, found, left
-        noise = other_noise(setup.library, found.last.train, setup.selection.floor, settings)
+        noise = _noise_of_sensors(setup, found.last, settings)
         if noise is None:
             return setup, found, None
         coloured = _coloured(setup, noise)
@@ -561,7 +583,7 @@ def in_shorter_steps(
     goal = last.theta, last.free, last.accepted
     setup = replace(setup, noise=None, shortened=True)
     other, begun = _going_on(setup, shorter, *goal)
-    noise = other_noise(other.library, begun.train, selection.floor, settings)
+    noise = _noise_of_sensors(other, begun, settings)
     if noise is not None:
         other, _ = _going_on(replace(setup, noise=noise), shorter, *goal)
     other, found = search_effects(other)
@@ -716,10 +738,10 @@ def that_may_be_nothing(
     -------
     tuple of str and Leader, or None
         Its label, and what is said of it. Of an effect that is so many times a shape, the first
-        size alone counts. One whose errors have few degrees of freedom is left alone if it is new
-        to the model; numbers that the model has matter in every motion, and so does its physics
-        step, for which a delay that is shorter may stand. None where declared parameters are
-        fitted: with a free mass, a size may only grow with it.
+        size alone counts. One on its bound is left alone, and so is one whose errors have few
+        degrees of freedom, if it is new to the model; numbers that the model has matter in every
+        motion, and so does its physics step, for which a delay that is shorter may stand. None
+        where declared parameters are fitted: with a free mass, a size may only grow with it.
     """
     last = searched.last
     if not last.accepted or bool(np.any(last.free < library.declared)):
@@ -733,6 +755,9 @@ def that_may_be_nothing(
     widths = np.where(np.abs(last.theta[last.free]) < SMALL * own, 2.0, 1.0) * widths
     short = [library.indices_of[one.label] for one, _ in _short_delays(library, last)]
     told = (degrees >= FEWEST_DEGREES) | (own > 0) | np.isin(last.free, [*chain(*short)])
+    # The data ask for more than a bound allows.
+    space, sizes = library.simulator.space, last.theta[last.free]
+    told &= (sizes == 0) | ((sizes > space.low[last.free]) & (sizes < space.high[last.free]))
     half = dict(zip(last.free[told].tolist(), widths[told], strict=True))
     found = []
     for instance in last.accepted:

@@ -9,6 +9,7 @@ import pytest
 from dropo.diagnosis import solving
 from dropo.diagnosis.findings.causes import standard_errors
 from dropo.diagnosis.search.review import reviews_so_far
+from dropo.diagnosis.search.whitening import WhitenessSettings, white
 from dropo.diagnosis.setup import SearchedEffects, SearchSetup
 from dropo.diagnosis.solving import MAY_BE_NOTHING, that_may_be_nothing, without_worse
 from tests.models.linear_mass import instances, measured, selection
@@ -23,6 +24,25 @@ def searched(hidden, accepted):
     theta = first.theta.copy()
     last = search.polish(search.try_set(first, theta, (), added))
     return search.library, SearchedEffects(first, last, reviews_so_far(search, last))
+
+
+@pytest.mark.parametrize(
+    ("gained", "present", "kept"), [(90.0, True, True), (110.0, True, False), (110.0, False, True)]
+)
+def test_what_forces_explain_better_is_no_noise_of_sensors(monkeypatch, gained, present, kept):
+    """Errors that follow each other gain 100 nats on windows held out; forces that nothing explains
+    gain less, more, or nothing that is sure.
+    """
+    search, first = selection(measured({}))
+    found = white(first.train.whiten.sigma)
+    setup = SearchSetup(None, None, search.library, search, None, None, None, 0, ())
+    monkeypatch.setattr(solving, "other_noise", lambda *given: found)
+    monkeypatch.setattr(solving, "impulses_of", lambda library: ["force"])
+    monkeypatch.setattr(solving, "gain_of", lambda *given: (100.0, 5.0))
+    forces = SimpleNamespace(present=present, gain=gained)
+    monkeypatch.setattr(solving, "unexplained_force", lambda *given: forces)
+    noise = solving._noise_of_sensors(setup, first, WhitenessSettings())
+    assert noise is (found if kept else None)
 
 
 def test_an_effect_whose_size_may_be_0_is_refused():
