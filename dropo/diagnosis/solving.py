@@ -94,14 +94,15 @@ def with_noise_left(
 def _noise_of_sensors(
     setup: SearchSetup, state: State, settings: WhitenessSettings
 ) -> WindowNoise | None:
-    """A noise that is not white, where that explains more of the windows held out than forces do.
+    """A noise that is not white; where nothing was found, if that explains more of the windows held
+    out than forces do.
 
     What is missing from a model makes errors that follow each other, too: as noise of sensors it
     would hide.
     """
     library, floor = setup.library, setup.selection.floor
     noise = other_noise(library, state.train, floor, settings)
-    if noise is None or not impulses_of(library):
+    if noise is None or state.accepted or not impulses_of(library):
         return noise
     gain, _ = gain_of(state.test, with_other_noise(library, state.test, noise))
     forces = unexplained_force(library, state.train, state.test, floor, gain_of)

@@ -225,8 +225,8 @@ def after_horizons(
         change = simulator.predict(same, windows, offsets=offsets) - predicted[which[-1]]
         good = np.isfinite(change).all(axis=2)
         # Where a sensor's errors follow each other, some of the start's is still there.
-        together = rho**steps * offsets[good] * change[good]
-        noise = sigma**2 + np.mean(change[good] ** 2 - 2 * together, axis=0)
+        there = rho**steps * offsets[good] - change[good]
+        noise = (1 - rho ** (2 * steps)) * sigma**2 + np.mean(there**2, axis=0)
         errors = errors_of(simulator, predicted, windows, spread)
         if errors[which[-1]].failed == errors[which[-1]].rows:
             break
