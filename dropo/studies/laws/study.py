@@ -38,9 +38,9 @@ WINDOWS = 48
 """About how many windows are fitted, and how many are held out."""
 COUNTED = 100.0
 """Nats on data held out that the true law must gain for a run to count."""
-FIRST_SEED = {"development": 0, "evaluation": 84_000, "removed": 85_000, "null": 86_000}
+FIRST_SEED = {"development": 0, "evaluation": 87_000, "removed": 88_000, "null": 89_000}
 """Seeds of each set; the search was worked out on seeds below 80,000, and what earlier code made of
-81,000, 82,000 and 83,000 was read before its last rules were made.
+those from 81,000 to 86,000 was read before its last rules were made.
 """
 STEP = 4.0
 """Step of the quantised sensors, in standard deviations of the others' noise."""
