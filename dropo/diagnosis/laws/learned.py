@@ -291,23 +291,16 @@ def learn_forces(
     chosen = _chosen(simulator, places_of_laws(library), forces, places, settings)
     if not chosen:
         return None
-    solver = _Solver(chosen, forces.residuals, settings)
-    numbers = _laws(simulator, chosen, solver.weights, settings)
-    laws = [law for law, _ in numbers]
-    selection = extended(selection, with_laws(library, laws))
-    library = selection.library
-    before = padded(last, library)
-    theta = _fitted(library, before, forces, numbers, solver, settings)
-    after = selection.without_fitting(
-        last.train.windows,
-        last.test.windows,
-        theta,
-        last.train.whiten.noise,
-        last.free,
-        (*last.accepted, *laws),
-    )
-    gain, z = gain_of(before.test, after.test)
     limits = selection.settings
+    own, after = _with_forces(selection, last, forces, chosen, settings)
+    kept = [one for one in chosen if _is_needed(own.library, after, one, limits.negligible_gain)]
+    if 0 < len(kept) < len(chosen):
+        chosen = kept
+        own, after = _with_forces(selection, last, forces, chosen, settings)
+    selection, library, theta = own, own.library, after.theta
+    laws = after.accepted[len(last.accepted) :]
+    before = padded(last, library)
+    gain, z = gain_of(before.test, after.test)
     if gain <= limits.negligible_gain or z < limits.indistinguishable_z:
         return None
     compared = after_horizons(problem, library, [before.theta, theta], after, draws)
@@ -317,6 +310,38 @@ def learn_forces(
     used = asked or share >= settings.share
     learned = Learned(_described(chosen, laws, theta, library), gain, gain / z, share, used)
     return WithLearned(learned, selection, padded(first, library), after, compared)
+
+
+def _with_forces(
+    selection: Selection,
+    last: State,
+    forces: ResidualForces,
+    chosen: Sequence[_Bumps],
+    settings: LearnedSettings,
+) -> tuple[Selection, State]:
+    """A search whose library has the forces, and the model with them, fitted in simulation."""
+    solver = _Solver(chosen, forces.residuals, settings)
+    simulator: RobotSimulator = selection.library.simulator  # type: ignore[assignment]
+    numbers = _laws(simulator, chosen, solver.weights, settings)
+    laws = [law for law, _ in numbers]
+    own = extended(selection, with_laws(selection.library, laws))
+    theta = _fitted(own.library, padded(last, own.library), forces, numbers, solver, settings)
+    windows = last.train.windows, last.test.windows
+    noise = last.train.whiten.noise
+    return own, own.without_fitting(*windows, theta, noise, last.free, (*last.accepted, *laws))
+
+
+def _is_needed(library: Library, after: State, force: _Bumps, least: float) -> bool:
+    """Whether windows held out lose so much [nats] without one of the forces.
+
+    One that another joint's force leaves, where that was found far from the motion, is not.
+    """
+    law = next(one for one in after.accepted if one.formula and one.target == force.joint.name)
+    theta = after.theta.copy()
+    theta[library.indices_of[law.label]] = 0.0
+    without = shift_linearization(library, after.test, theta, after.test.whiten.noise)
+    lost, _ = gain_of(without, after.test)
+    return lost >= least
 
 
 # --- which forces
