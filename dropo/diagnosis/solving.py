@@ -321,6 +321,19 @@ def _going_on(
     return replace(other, begun=(first, begun)), begun
 
 
+def _alternatives(setup: SearchSetup, first: State) -> ArithmeticAlternatives:
+    """More exact steps than a setup has, beside what its search accepts."""
+    selection = setup.selection
+    return ArithmeticAlternatives(
+        setup.library,
+        selection.floor,
+        selection.settings,
+        selection.log,
+        first,
+        setup.exact,
+    )
+
+
 def search_effects(setup: SearchSetup) -> tuple[SearchSetup, SearchedEffects]:
     """Look for effects; where that is interrupted, return what was accepted so far.
 
@@ -347,14 +360,7 @@ def search_effects(setup: SearchSetup) -> tuple[SearchSetup, SearchedEffects]:
         else:
             begun = setup.begun[1]
         selection.latest = begun
-        alternatives = ArithmeticAlternatives(
-            setup.library,
-            selection.floor,
-            selection.settings,
-            selection.log,
-            first,
-            setup.exact,
-        )
+        alternatives = _alternatives(setup, first)
         chosen = setup.exact or setup.steps_chosen
         if not chosen and alternatives.is_preferred(begun):
             return _in_either(replace(setup, begun=(first, begun)), alternatives)
@@ -528,11 +534,9 @@ def in_exact_steps(
     """
     if setup.exact or setup.steps_chosen:
         return None
-    library, last, selection = setup.library, searched.last, setup.selection
+    library, last = setup.library, searched.last
     for instance, _ in _short_delays(library, last):
-        alternatives = ArithmeticAlternatives(
-            library, selection.floor, selection.settings, selection.log, searched.first
-        )
+        alternatives = _alternatives(setup, searched.first)
         others = tuple(one for one in last.accepted if one.label != instance.label)
         with_delay = replace(last, accepted=(*others, instance))
         if alternatives(searched.reviews[instance.label].without, with_delay):
@@ -570,10 +574,8 @@ def in_shorter_steps(
     """
     if setup.shortened or setup.steps_chosen:
         return None
-    library, last, selection = setup.library, searched.last, setup.selection
-    alternatives = ArithmeticAlternatives(
-        library, selection.floor, selection.settings, selection.log, searched.first
-    )
+    last = searched.last
+    alternatives = _alternatives(setup, searched.first)
     if setup.exact:
         shorter = alternatives.shorter(last)
     else:
@@ -581,12 +583,12 @@ def in_shorter_steps(
         shorter = alternatives.winner or UNCHANGED
     if shorter == UNCHANGED:
         return None
-    goal = last.theta, last.free, last.accepted
+    end = last.theta, last.free, last.accepted
     setup = replace(setup, noise=None, shortened=True)
-    other, begun = _going_on(setup, shorter, *goal)
+    other, begun = _going_on(setup, shorter, *end)
     noise = _noise_of_sensors(other, begun, settings)
     if noise is not None:
-        other, _ = _going_on(replace(setup, noise=noise), shorter, *goal)
+        other, _ = _going_on(replace(setup, noise=noise), shorter, *end)
     other, found = search_effects(other)
     return other, replace(found, laws=searched.laws)
 
